@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use slitpose_calibration::pose_of;
+use slitpose_calibration::{half_extents, pose_of};
 use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
@@ -83,9 +83,7 @@ pub(crate) struct FreeMotion {
 
 impl FreeMotion {
     pub(crate) fn draw(workspace: &Workspace, chance: &mut Chance) -> Self {
-        let Workspace { half_extent_m: m, half_extent_rad: rad } = workspace;
-        let extents = [m.x, m.y, m.z, rad.x, rad.y, rad.z];
-        let sines = extents.map(|extent| {
+        let sines = half_extents(workspace).map(|extent| {
             SINUSOIDS
                 .map(|share| [share * FREE_SHARE * extent, TAU * chance.between(FREE_HZ), chance.between([0.0, TAU])])
         });

@@ -3,6 +3,7 @@
 //! order in what is small.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
 use slitpose_calibration::{Parameter, draw};
@@ -35,19 +36,18 @@ pub struct DrawnHead {
     pub nominal: SceneFile,
     /// Every parameter of the model, as it is.
     pub parameters: Vec<Parameter>,
-    /// Physics beyond the model, one for each cell; or none.
-    pub beyond: Vec<Beyond>,
     scene: Scene,
-    optics: Optics,
+    pub(crate) optics: Arc<Optics>,
     /// Emitters that are lit with each cell's own, at nominal level.
     lit: Vec<Vec<(usize, f64)>>,
     noise: Option<Noise>,
 }
 
 #[derive(Debug)]
-struct Optics {
+pub(crate) struct Optics {
     plan: CompiledScene<f64>,
-    beyond: Vec<BeyondOptics>,
+    /// Physics beyond the model, one for each cell; or none.
+    pub(crate) beyond: Vec<BeyondOptics>,
 }
 
 impl Light for Optics {
@@ -65,25 +65,21 @@ impl Light for Optics {
     }
 }
 
-impl Optics {
-    fn of(scene: &Scene, beyond: &[Beyond]) -> Result<Self, SceneError> {
-        let beyond = scene.cells.iter().zip(beyond).map(|(cell, beyond)| BeyondOptics::of(cell, beyond.clone(), TIER));
-        Ok(Self { plan: CompiledScene::compile(scene, TIER)?, beyond: beyond.collect::<Result<_, _>>()? })
-    }
-}
-
 impl DrawnHead {
     /// Draws a head of parts within the tolerances of `scene`; deviations are normal, cut at three standard deviations.
     pub fn draw(scene: &SceneFile, within: Within, seed: u64) -> Result<Self, BenchError> {
         let nominal = &with_tolerance(scene)?;
         let mut chance = Chance::of(seed, 0);
         let (scene, parameters) = draw(nominal, || chance.within_three_sigma())?;
-        let plan = CompiledScene::compile(&scene, TIER)?;
+        let plan = CompiledScene::<f64>::compile(&scene, TIER)?;
         let mut chance = Chance::of(seed, 1);
-        let mut of_cell = |cell| Beyond::draw(nominal, plan.photocurrents(cell, &Pose::HOME).total_a(), &mut chance);
-        let beyond: Vec<Beyond> = match within {
+        let mut of_cell = |(number, cell): (usize, &Cell)| {
+            let home_a = plan.photocurrents(number, &Pose::HOME).total_a();
+            BeyondOptics::of(cell, Beyond::draw(nominal, home_a, &mut chance), TIER)
+        };
+        let beyond = match within {
             Within::Family => Vec::new(),
-            Within::Richer => (0..scene.cells.len()).map(&mut of_cell).collect(),
+            Within::Richer => scene.cells.iter().enumerate().map(&mut of_cell).collect::<Result<_, _>>()?,
         };
         let of_slot = |cell: usize| {
             let slot = nominal.lighting.slots.iter().find(|slot| slot.contains(&cell));
@@ -91,11 +87,10 @@ impl DrawnHead {
         };
         Ok(Self {
             lit: (0..scene.cells.len()).map(of_slot).collect(),
-            optics: Optics::of(&scene, &beyond)?,
+            optics: Arc::new(Optics { plan, beyond }),
             noise: table_noise(nominal)?,
             nominal: nominal.clone(),
             parameters,
-            beyond,
             scene,
         })
     }
@@ -107,8 +102,8 @@ impl DrawnHead {
     }
 
     /// The light on its detectors, for a simulated board.
-    pub fn light(&self) -> Result<Box<dyn Light>, SceneError> {
-        Ok(Box::new(Optics::of(&self.scene, &self.beyond)?))
+    pub fn light(&self) -> Arc<dyn Light> {
+        Arc::clone(&self.optics) as Arc<dyn Light>
     }
 
     /// Photocurrents above dark at `pose`, without noise. `None`: a spot is cut by an end of its detector or off it, or
@@ -167,19 +162,19 @@ const STRAY_CHANGE: f64 = 0.03;
 
 /// The effects of one cell.
 #[derive(Clone, Debug)]
-pub struct Beyond {
+pub(crate) struct Beyond {
     /// Amplitude of the ripple X_measured − X_A = a·sin(2π·X_A/p + φ), metres.
-    pub ripple_m: f64,
+    pub(crate) ripple_m: f64,
     /// Its period p, metres.
-    pub ripple_period_m: f64,
+    pub(crate) ripple_period_m: f64,
     /// Its phase φ, radians.
-    pub ripple_phase_rad: f64,
+    pub(crate) ripple_phase_rad: f64,
     /// Shares of three points of the emitter's chip.
-    pub chip: [f64; 3],
+    pub(crate) chip: [f64; 3],
     /// The slit is wider by half of this where y > 0, and narrower where y < 0, metres.
-    pub slit_step_m: f64,
+    pub(crate) slit_step_m: f64,
     /// Stray current of each electrode per component of the tool's rotation vector, A/rad.
-    pub stray_a_per_rad: [[f64; 3]; 2],
+    pub(crate) stray_a_per_rad: [[f64; 3]; 2],
 }
 
 impl Beyond {
@@ -204,7 +199,7 @@ impl Beyond {
 /// The effects of one cell, ready for evaluation.
 #[derive(Debug)]
 pub(crate) struct BeyondOptics {
-    of: Beyond,
+    pub(crate) of: Beyond,
     length_m: f64,
     /// Light of the cell alone, with its weight: the differences that make chip and slit.
     parts: Vec<(f64, CompiledScene<f64>)>,

@@ -1,7 +1,7 @@
 //! A day at the bench: tables of measurements on one head.
 
 use glam::DVec3;
-use slitpose_calibration::{compose, inverse};
+use slitpose_calibration::{Knowledge, compose, inverse};
 use slitpose_head::table::POSE_COLUMNS;
 use slitpose_model::{Pair, Pose};
 
@@ -63,19 +63,12 @@ pub struct Settings {
     pub instrument: [f64; 2],
 }
 
-/// What a row says of its pose.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Says {
-    Pose(Pose),
-    StepM(f64),
-    TimeS(f64),
-    Nothing,
-}
-
 #[derive(Clone, Debug)]
 pub(crate) struct Row {
     pub(crate) truth: Pose,
-    pub(crate) says: Says,
+    pub(crate) knowledge: Knowledge,
+    /// Its instant, if the table has them.
+    pub(crate) time_s: Option<f64>,
     pub(crate) frames: u32,
     pub(crate) currents: Vec<Pair<f64>>,
 }
@@ -117,20 +110,6 @@ pub struct Session {
     pub(crate) rest: Pose,
 }
 
-#[derive(Clone, Copy)]
-enum Stream {
-    Known = 16,
-    KnownOwn,
-    Test,
-    Quiet,
-    Pivot,
-    Stage,
-    Rest,
-    Free,
-    Frames,
-    // 25 was that of a table that is no longer made.
-}
-
 struct Maker<'a> {
     head: &'a DrawnHead,
     seed: u64,
@@ -146,21 +125,22 @@ impl Maker<'_> {
     }
 
     /// A row at `truth`, unless a spot does not lie on its detector there.
-    fn row_at(&mut self, truth: Pose, says: Says, frames: u32) -> Option<Row> {
+    fn row_at(&mut self, truth: Pose, knowledge: Knowledge, frames: u32) -> Option<Row> {
         let clean = self.head.currents(&truth)?;
-        Some(Row { truth, says, frames, currents: self.head.reading(&clean, frames, &mut self.chance) })
+        let currents = self.head.reading(&clean, frames, &mut self.chance);
+        Some(Row { truth, knowledge, time_s: None, frames, currents })
     }
 
     fn rows(
         &mut self,
         count: usize,
         frames: u32,
-        mut pose: impl FnMut(&mut Chance) -> (Pose, Says),
+        mut pose: impl FnMut(&mut Chance) -> (Pose, Knowledge),
     ) -> Result<Vec<Row>, BenchError> {
         let mut rows = Vec::with_capacity(count);
         for _ in 0..count {
-            let (truth, says) = self.usable(&mut pose)?;
-            rows.extend(self.row_at(truth, says, frames));
+            let (truth, knowledge) = self.usable(&mut pose)?;
+            rows.extend(self.row_at(truth, knowledge, frames));
         }
         Ok(rows)
     }
@@ -170,41 +150,40 @@ impl Session {
     /// Measures on `head`.
     pub fn of(head: &DrawnHead, settings: &Settings) -> Result<Self, BenchError> {
         let workspace = head.nominal.workspace;
-        let maker = |table, stream: Stream| {
-            let chance = Chance::of(settings.seed, stream as u64);
-            Maker { head, seed: settings.seed, chance, table }
-        };
-        let mut chance = Chance::of(settings.seed, Stream::Frames as u64);
+        // No table depends on the length of another: each has a stream of random numbers of its own, and so have the frames.
+        let maker =
+            |table, stream| Maker { head, seed: settings.seed, chance: Chance::of(settings.seed, stream), table };
+        let mut chance = Chance::of(settings.seed, 24);
         let mut transform = |metres: f64| {
             let translation_m = chance.in_box(DVec3::splat(metres));
             Pose::from_vectors(translation_m, chance.in_box(DVec3::splat(FRAMES_RAD)))
         };
         let (base_from_reference, tool_from_marker) = (transform(REFERENCE_M), transform(MARKER_M));
         let instrument = settings.instrument;
-        let known = maker("known", Stream::Known).rows(settings.poses, FRAMES, |chance| {
+        let known = maker("known", 16).rows(settings.poses, FRAMES, |chance| {
             let truth = anywhere(&workspace, chance);
-            (truth, Says::Pose(chance.near(&truth, instrument)))
+            (truth, Knowledge::Reported(chance.near(&truth, instrument)))
         })?;
-        let known_own = maker("known_own", Stream::KnownOwn).rows(settings.poses, FRAMES, |chance| {
+        let known_own = maker("known_own", 17).rows(settings.poses, FRAMES, |chance| {
             let truth = anywhere(&workspace, chance);
             let marker = compose(&compose(&inverse(&base_from_reference), &truth), &tool_from_marker);
-            (truth, Says::Pose(chance.near(&marker, instrument)))
+            (truth, Knowledge::Reported(chance.near(&marker, instrument)))
         })?;
-        let test = maker("test", Stream::Test).rows(TEST_POSES, 1, |chance| {
+        let test = maker("test", 18).rows(TEST_POSES, 1, |chance| {
             let truth = anywhere(&workspace, chance);
-            (truth, Says::Pose(truth))
+            (truth, Knowledge::Reported(truth))
         })?;
-        let mut quiet = maker("test_quiet", Stream::Quiet);
-        let test_quiet = test.iter().filter_map(|row| quiet.row_at(row.truth, row.says, QUIET_FRAMES)).collect();
+        let mut quiet = maker("test_quiet", 19);
+        let test_quiet = test.iter().filter_map(|row| quiet.row_at(row.truth, row.knowledge, QUIET_FRAMES)).collect();
 
-        let mut turning = maker("pivot", Stream::Pivot);
+        let mut turning = maker("pivot", 20);
         let pivot = Pivot::draw(&workspace, &mut turning.chance);
         let pivoted = turning.rows(PIVOT_POSES, FRAMES, |chance| {
             let truth = pivot.pose(&workspace, chance);
-            (chance.near(&truth, [CONTACT[0], 0.0]), Says::Nothing)
+            (chance.near(&truth, [CONTACT[0], 0.0]), Knowledge::Nothing)
         })?;
 
-        let mut moving = maker("stage", Stream::Stage);
+        let mut moving = maker("stage", 21);
         let stage_direction = moving.chance.normals(1.0).normalize_or(DVec3::X);
         let (turned, ()) = moving.usable(|chance| {
             (Pose::from_vectors(DVec3::ZERO, STAGE_TURN * chance.in_box(workspace.half_extent_rad)), ())
@@ -216,18 +195,20 @@ impl Session {
             let step_m = f64::from(step) * STAGE_STEP_M;
             let straight = Pose { translation_m: stage_start.translation_m + step_m * stage_direction, ..stage_start };
             let truth = moving.chance.near(&straight, STAGE);
-            staged.extend(moving.row_at(truth, Says::StepM(step_m), FRAMES));
+            staged.extend(moving.row_at(truth, Knowledge::Step(step_m), FRAMES));
         }
 
-        let mut resting = maker("rest", Stream::Rest);
+        let mut resting = maker("rest", 22);
         let (rest, ()) = resting.usable(|chance| (anywhere(&workspace, chance), ()))?;
-        let rested = resting.rows(REST_POSES, FRAMES, |chance| (chance.near(&rest, CONTACT), Says::Nothing))?;
+        let rested = resting.rows(REST_POSES, FRAMES, |chance| (chance.near(&rest, CONTACT), Knowledge::Nothing))?;
 
-        let mut freely = maker("free", Stream::Free);
+        let mut freely = maker("free", 23);
         let motion = FreeMotion::draw(&workspace, &mut freely.chance);
         let instants = (0..=(settings.free_s * FREE_HZ) as u64).map(|k| k as f64 / FREE_HZ);
         let path: Vec<_> = instants.map(|time_s| (time_s, motion.pose(time_s))).collect();
-        let at_instant = |&(time_s, truth): &(f64, Pose)| freely.row_at(truth, Says::TimeS(time_s), 1);
+        let at_instant = |&(time_s, truth): &(f64, Pose)| {
+            Some(Row { time_s: Some(time_s), ..freely.row_at(truth, Knowledge::Nothing, 1)? })
+        };
         let free = path.iter().filter_map(at_instant).collect();
         let by_hand = {
             let begin_s = settings.free_s + WAY_S;
@@ -300,7 +281,7 @@ mod tests {
         let own = [session.base_from_reference, session.tool_from_marker];
         for (table, [x, y]) in [("known", [Pose::HOME; 2]), ("test", [Pose::HOME; 2]), ("known_own", own)] {
             for row in rows(&session, table) {
-                let Says::Pose(report) = row.says else { panic!("{row:?}") };
+                let Knowledge::Reported(report) = row.knowledge else { panic!("{row:?}") };
                 let (dt, dr) = compose(&compose(&x, &report), &inverse(&y)).displacement_from(&row.truth);
                 assert!(dt.length() < 1e-15 && dr.length() < 1e-14, "{table}: {dt} {dr}");
             }
@@ -317,7 +298,7 @@ mod tests {
             row.truth.translation_m + row.truth.rotation * session.pivot.in_tool_m - session.pivot.in_base_m
         });
         let steps = rows(&session, "stage").iter().map(|row| {
-            let Says::StepM(step_m) = row.says else { panic!("{row:?}") };
+            let Knowledge::Step(step_m) = row.knowledge else { panic!("{row:?}") };
             row.truth.translation_m - session.stage_start.translation_m - step_m * session.stage_direction
         });
         let returns = rows(&session, "rest").iter().map(|row| row.truth.translation_m - session.rest.translation_m);

@@ -1,16 +1,16 @@
 //! The adjustment: steps to the most probable parameters, outliers, and what the model leaves out.
 
 use nalgebra::{DMatrix, DVector};
-use slitpose_model::{ModelError, Scene, SceneError};
+use slitpose_model::{ModelError, SceneError};
 
-use crate::data::{Constraint, Data};
+use crate::Statistics;
+use crate::data::{self, Constraint, Row};
 use crate::light;
-use crate::normal::{Normal, forward, moved, row_terms};
+use crate::normal::{Normal, equations, forward, moved};
 use crate::parameter::FAMILIES;
 use crate::reading::{directions, whiten, whitener};
 use crate::start::solved;
 use crate::state::{CellSensitivity, State, Weights, sensitivities_of_rows};
-use crate::{Statistics, constraint};
 
 /// Squared normalised residual of a reading (two currents) beyond which it is an outlier: one in 3·10⁶ by chance.
 const READING_LIMIT: f64 = 30.0;
@@ -39,13 +39,11 @@ const SAMPLE: usize = 300;
 /// Decrease of χ² below which a minimum counts as reached.
 const CONVERGED: f64 = 0.1;
 
-pub(crate) struct Adjustment<'a> {
-    pub(crate) nominal: &'a Scene,
-    pub(crate) data: &'a Data,
+pub(crate) struct Adjustment {
     /// Information of the prior, by parameters in units of their prior σ.
     pub(crate) prior: DMatrix<f64>,
     /// Whether the data may tell the size of families of parameters.
-    learns_sizes: bool,
+    pub(crate) learns_sizes: bool,
 }
 
 /// Squared residuals that grow like a logarithm beyond the limit: gross outliers count for next to nothing.
@@ -58,74 +56,71 @@ fn weight(square: f64, limit: f64) -> f64 {
 }
 
 /// Sum of squared residuals, bounded beyond the limits.
-fn cost(data: &Data, state: &State, cells: &[CellSensitivity], prior: &DMatrix<f64>) -> f64 {
-    let rows: f64 = (0..data.rows.len()).map(|row| row_cost(data, state, cells, row)).sum();
+fn cost(state: &State<'_>, cells: &[CellSensitivity], prior: &DMatrix<f64>) -> f64 {
+    let rows: f64 = (0..state.data.rows.len()).map(|row| row_cost(state, cells, row)).sum();
     let shift = shift(state);
     rows + shift.dot(&(prior * &shift)) + light_square(state)
 }
 
-fn row_cost(data: &Data, state: &State, cells: &[CellSensitivity], row: usize) -> f64 {
-    let squares = (0..cells.len()).filter_map(|cell| reading_square(data, state, cells, row, cell));
+fn row_cost(state: &State<'_>, cells: &[CellSensitivity], row: usize) -> f64 {
+    let squares = (0..cells.len()).filter_map(|cell| reading_square(state, cells, row, cell));
     let readings: f64 = squares.map(|square| bounded(square, READING_LIMIT)).sum();
-    readings + bounded(constraint_square(data, state, row), POSE_LIMIT)
+    readings + bounded(constraint_square(state, row), POSE_LIMIT)
 }
 
-fn shift(state: &State) -> DVector<f64> {
+fn shift(state: &State<'_>) -> DVector<f64> {
     let entries = &state.parameters.entries;
     DVector::from_iterator(entries.len(), entries.iter().map(|entry| entry.shift()))
 }
 
-fn light_square(state: &State) -> f64 {
+fn light_square(state: &State<'_>) -> f64 {
     state.light.iter().map(|term| term.amplitude * term.amplitude).sum()
 }
 
-fn reading_square(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<f64> {
-    let [a, b] = whitened(data, state, cells, row, cell)?;
+fn reading_square(state: &State<'_>, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<f64> {
+    let [a, b] = whitened(state, cells, row, cell)?;
     Some(a * a + b * b)
 }
 
-fn whitened(data: &Data, state: &State, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<[f64; 2]> {
-    let (reading, pair) = (data.rows[row].readings[cell]?, cells[cell].pairs[row]?);
-    let w = whitener(state.covariance(cell, reading, data.rows[row].frames));
+fn whitened(state: &State<'_>, cells: &[CellSensitivity], row: usize, cell: usize) -> Option<[f64; 2]> {
+    let Row { readings, frames, .. } = &state.data.rows[row];
+    let (reading, pair) = (readings[cell]?, cells[cell].pairs[row]?);
+    let w = whitener(state.covariance(cell, reading, *frames));
     Some(whiten(w, [reading[0] - pair[0], reading[1] - pair[1]]))
 }
 
-fn constraint_square(data: &Data, state: &State, row: usize) -> f64 {
-    let (number, group) = state.group_of(data, row);
-    let sigmas = state.sigmas(data, number);
-    let residuals =
-        constraint::residuals(group.constraint, sigmas, &data.rows[row], &state.unknowns[number], &state.poses[row]);
+fn constraint_square(state: &State<'_>, row: usize) -> f64 {
+    let (number, group) = state.group_of(row);
+    let (sigmas, measured) = (state.sigmas(number), &state.data.rows[row]);
+    let residuals = data::residuals(group.constraint, sigmas, measured, &state.unknowns[number], &state.poses[row]);
     residuals.iter().map(|value| value * value).sum()
 }
 
-impl<'a> Adjustment<'a> {
-    pub(crate) fn new(nominal: &'a Scene, data: &'a Data, prior: DMatrix<f64>, learns_sizes: bool) -> Self {
-        Self { nominal, data, prior, learns_sizes }
+impl Adjustment {
+    /// The normal equations at `state`, derivatives included.
+    fn normal(&self, state: &State<'_>) -> Result<Normal, SceneError> {
+        let cells = sensitivities_of_rows(state, true)?;
+        let weights = self.weigh(state, &cells);
+        Ok(Normal::assemble(state, cells, weights, &self.prior))
     }
 
-    pub(crate) fn sensitivities(&self, state: &State, derivatives: bool) -> Result<Vec<CellSensitivity>, SceneError> {
-        sensitivities_of_rows(self.nominal, self.data, state, derivatives)
-    }
-
-    fn weigh(&self, state: &State, cells: &[CellSensitivity]) -> Weights {
-        let mut weights = Weights::equal(self.data);
-        for row in 0..self.data.rows.len() {
+    fn weigh(&self, state: &State<'_>, cells: &[CellSensitivity]) -> Weights {
+        let mut weights = Weights::equal(state.data);
+        for row in 0..state.data.rows.len() {
             for cell in 0..cells.len() {
-                let square = reading_square(self.data, state, cells, row, cell).unwrap_or(0.0);
+                let square = reading_square(state, cells, row, cell).unwrap_or(0.0);
                 weights.readings[row][cell] = weight(square, READING_LIMIT);
             }
-            weights.poses[row] = weight(constraint_square(self.data, state, row), POSE_LIMIT);
+            weights.poses[row] = weight(constraint_square(state, row), POSE_LIMIT);
         }
         weights
     }
 
     /// At most `steps` steps towards the minimum of χ².
-    pub(crate) fn minimise(&self, state: &mut State, steps: usize) -> Result<(Normal, Weights), SceneError> {
+    pub(crate) fn minimise(&self, state: &mut State<'_>, steps: usize) -> Result<Normal, SceneError> {
         let mut damping = 1e-6;
-        let cells = self.sensitivities(state, true)?;
-        let mut before = cost(self.data, state, &cells, &self.prior);
-        let mut weights = self.weigh(state, &cells);
-        let mut normal = Normal::assemble(self.data, state, cells, &weights, &self.prior);
+        let mut normal = self.normal(state)?;
+        let mut before = cost(state, &normal.cells, &self.prior);
         for _ in 0..steps {
             let mut accepted = None;
             while damping < 1e8 {
@@ -134,15 +129,15 @@ impl<'a> Adjustment<'a> {
                     continue;
                 };
                 let mut candidate = state.clone();
-                candidate.advance(self.data, step.as_slice());
+                candidate.advance(step.as_slice());
                 for (row, pose) in candidate.poses.iter_mut().enumerate() {
                     if let Some(of_pose) = normal.pose_step(row, &step) {
                         *pose = moved(pose, of_pose, state.length_scale_m);
                     }
                 }
                 // A step far beyond the model compiles to no head.
-                if let Ok(found) = self.sensitivities(&candidate, false) {
-                    let after = cost(self.data, &candidate, &found, &self.prior);
+                if let Ok(found) = sensitivities_of_rows(&candidate, false) {
+                    let after = cost(&candidate, &found, &self.prior);
                     if after <= before {
                         accepted = Some((candidate, after));
                         break;
@@ -154,36 +149,34 @@ impl<'a> Adjustment<'a> {
             *state = candidate;
             damping = (damping * 0.05).max(1e-9);
             let decrease = before - after;
-            let cells = self.sensitivities(state, true)?;
-            weights = self.weigh(state, &cells);
-            normal = Normal::assemble(self.data, state, cells, &weights, &self.prior);
+            normal = self.normal(state)?;
             before = after;
             if decrease < CONVERGED {
                 break;
             }
         }
-        Ok((normal, weights))
+        Ok(normal)
     }
 
     /// Renews the model errors so that residuals are as large as expected; the largest relative change of a variance.
-    fn estimate_model_errors(&self, state: &mut State, normal: &Normal, weights: &Weights) -> f64 {
+    fn estimate_model_errors(&self, state: &mut State<'_>, normal: &Normal) -> f64 {
         let Some(covariance) = normal.covariance() else { return 0.0 };
-        let cells = &normal.cells;
+        let Normal { cells, weights, .. } = normal;
         let count = cells.len();
         // Of each cell: squares found, squares expected, variance by noise, for intensity and position; readings.
         let mut sums = vec![[[0.0; 3]; 2]; count];
         let mut readings = vec![0.0; count];
-        let every = self.data.rows.len().div_ceil(SAMPLE);
-        for row in (0..self.data.rows.len()).step_by(every) {
-            let Some(reduced) = self.reduced(state, normal, weights, row) else { continue };
+        let every = state.data.rows.len().div_ceil(SAMPLE);
+        for row in (0..state.data.rows.len()).step_by(every) {
+            let Some(reduced) = self.reduced(state, normal, row) else { continue };
             let spread = &covariance * &reduced.derivatives;
             let mut place = 0;
             for cell in 0..count {
                 if weights.readings[row][cell] == 0.0 {
                     continue;
                 }
-                let measured = &self.data.rows[row];
-                let Some(found) = whitened(self.data, state, cells, row, cell) else { continue };
+                let measured = &state.data.rows[row];
+                let Some(found) = whitened(state, cells, row, cell) else { continue };
                 let here = place;
                 place += 2;
                 if weights.readings[row][cell] < 1.0 {
@@ -194,7 +187,9 @@ impl<'a> Adjustment<'a> {
                 let w = whitener(state.covariance(cell, reading, measured.frames));
                 let noise = state.noise[cell].covariance(reading, measured.frames, &MIN_ERROR);
                 readings[cell] += 1.0;
-                for (sum, direction) in sums[cell].iter_mut().zip(directions(reading, self.half_length_m(cell))) {
+                for (sum, direction) in
+                    sums[cell].iter_mut().zip(directions(reading, 0.5 * state.nominal.cells[cell].detector.length_m))
+                {
                     // e = c·W⁻¹·(whitened residual).
                     let second = direction[1] / w[2];
                     let d = [(direction[0] - second * w[1]) / w[0], second];
@@ -233,13 +228,9 @@ impl<'a> Adjustment<'a> {
         change
     }
 
-    fn half_length_m(&self, cell: usize) -> f64 {
-        0.5 * self.nominal.cells[cell].detector.length_m
-    }
-
     /// Renews the size of the families of parameters of which tolerances say little: the mean square that the data give,
     /// what they leave open included (expectation maximisation; Dempster, Laird, Rubin 1977).
-    fn estimate_sizes(&mut self, state: &State, normal: &Normal) {
+    fn estimate_sizes(&mut self, state: &State<'_>, normal: &Normal) {
         let Some(covariance) = normal.covariance() else { return };
         let mut sums = [[1.0, 1.0]; FAMILIES];
         let families = state.parameters.entries.iter().map(|entry| entry.quantity.kind().0.family);
@@ -257,21 +248,10 @@ impl<'a> Adjustment<'a> {
         }
     }
 
-    /// Towards the most probable parameters of cells that are not trusted far.
-    pub(crate) fn first(&self, state: &mut State) -> Result<(Normal, Weights), SceneError> {
-        state.model_errors.fill(FIRST_ERROR);
-        self.minimise(state, 4)
-    }
-
     /// Renews model errors and sizes, and adjusts with them; the largest relative change of a variance.
-    pub(crate) fn round(
-        &mut self,
-        state: &mut State,
-        normal: &mut Normal,
-        weights: &mut Weights,
-    ) -> Result<f64, SceneError> {
-        let scales = self.constraint_scales(state, normal, weights);
-        let mut change = self.estimate_model_errors(state, normal, weights);
+    pub(crate) fn round(&mut self, state: &mut State<'_>, normal: &mut Normal) -> Result<f64, SceneError> {
+        let scales = self.constraint_scales(state, normal);
+        let mut change = self.estimate_model_errors(state, normal);
         for (scale, ratio) in state.scales.as_flattened_mut().iter_mut().zip(scales.as_flattened()) {
             // Nobody is asked to believe that an instrument is better than its maker says.
             let renewed = (*scale * ratio).max(1.0);
@@ -281,33 +261,32 @@ impl<'a> Adjustment<'a> {
         if self.learns_sizes {
             self.estimate_sizes(state, normal);
         }
-        self.release(state, weights)?;
-        (*normal, *weights) = self.minimise(state, 3)?;
+        self.release(state, &normal.weights)?;
+        *normal = self.minimise(state, 3)?;
         Ok(change)
     }
 
     /// Lets poses go that most cells contradict: those that the readings alone lead to replace them, if that makes fewer
     /// outliers. Steps alone would hold on to them.
-    fn release(&self, state: &mut State, weights: &Weights) -> Result<(), SceneError> {
+    fn release(&self, state: &mut State<'_>, weights: &Weights) -> Result<(), SceneError> {
         let is_contradicted = |row: &usize| {
             let of_row = &weights.readings[*row];
             2 * of_row.iter().filter(|weight| **weight < 1.0).count() > of_row.len()
         };
-        let rows: Vec<usize> = (0..self.data.rows.len()).filter(is_contradicted).collect();
+        let rows: Vec<usize> = (0..state.data.rows.len()).filter(is_contradicted).collect();
         if rows.is_empty() {
             return Ok(());
         }
-        let scene = state.scene(self.nominal);
-        let readings: Vec<_> = rows.iter().map(|&row| self.data.rows[row].clone()).collect();
+        let scene = state.scene();
+        let readings: Vec<_> = rows.iter().map(|&row| state.data.rows[row].clone()).collect();
         let mut candidate = state.clone();
         for (&row, pose) in rows.iter().zip(solved(&scene, &readings)?) {
             candidate.poses[row] = pose.unwrap_or(state.poses[row]);
         }
-        let [before, after] = [&*state, &candidate].map(|state| self.sensitivities(state, false));
+        let [before, after] = [&*state, &candidate].map(|state| sensitivities_of_rows(state, false));
         let (before, after) = (before?, after?);
         for &row in &rows {
-            let costs =
-                [(&*state, &before), (&candidate, &after)].map(|(state, cells)| row_cost(self.data, state, cells, row));
+            let costs = [(&*state, &before), (&candidate, &after)].map(|(state, cells)| row_cost(state, cells, row));
             if costs[1] < costs[0] {
                 state.poses[row] = candidate.poses[row];
             }
@@ -316,32 +295,20 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Adds the term of the light that the data demand most, and adjusts with it; `false`: they demand none.
-    pub(crate) fn adds_light(
-        &self,
-        state: &mut State,
-        normal: &mut Normal,
-        weights: &mut Weights,
-    ) -> Result<bool, SceneError> {
-        let assemble = |state: &State, cells| Normal::assemble(self.data, state, cells, weights, &self.prior);
-        let Some(term) = light::missing(self.nominal, self.data, state, normal, &assemble) else { return Ok(false) };
+    pub(crate) fn adds_light(&self, state: &mut State<'_>, normal: &mut Normal) -> Result<bool, SceneError> {
+        let Some(term) = light::missing(state, normal, &self.prior) else { return Ok(false) };
         state.light.push(term);
-        (*normal, *weights) = self.minimise(state, 3)?;
+        *normal = self.minimise(state, 3)?;
         Ok(true)
     }
 
-    /// χ² by its expectation.
-    pub(crate) fn fit(&self, state: &State, normal: &Normal, weights: &Weights) -> f64 {
-        let statistics = self.statistics(state, normal, weights);
-        statistics.chi2 / statistics.redundancy
-    }
-
-    pub(crate) fn statistics(&self, state: &State, normal: &Normal, weights: &Weights) -> Statistics {
-        let cells = &normal.cells;
-        let mut found = Statistics { rows: self.data.rows.len(), ..Statistics::default() };
+    pub(crate) fn statistics(&self, state: &State<'_>, normal: &Normal) -> Statistics {
+        let Normal { cells, weights, .. } = normal;
+        let mut found = Statistics { rows: state.data.rows.len(), ..Statistics::default() };
         let (mut residuals, mut unknowns) = (0, state.first_light() - state.parameters.entries.len());
-        for row in 0..self.data.rows.len() {
+        for row in 0..state.data.rows.len() {
             for cell in 0..cells.len() {
-                let Some(square) = reading_square(self.data, state, cells, row, cell) else { continue };
+                let Some(square) = reading_square(state, cells, row, cell) else { continue };
                 if weights.readings[row][cell] < 1.0 {
                     found.readings_rejected += 1;
                 } else {
@@ -351,8 +318,8 @@ impl<'a> Adjustment<'a> {
             if weights.poses[row] < 1.0 {
                 found.poses_rejected += 1;
             } else {
-                found.chi2 += constraint_square(self.data, state, row);
-                residuals += match state.group_of(self.data, row).1.constraint {
+                found.chi2 += constraint_square(state, row);
+                residuals += match state.group_of(row).1.constraint {
                     Constraint::Free => 0,
                     Constraint::Pivot => 3,
                     _ => 6,
@@ -367,16 +334,16 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Of each group, the ratio of the errors of lengths and of angles to what they are taken for.
-    fn constraint_scales(&self, state: &State, normal: &Normal, weights: &Weights) -> Vec<[f64; 2]> {
-        let mut sums = vec![[[0.0; 3]; 2]; self.data.groups.len()];
+    fn constraint_scales(&self, state: &State<'_>, normal: &Normal) -> Vec<[f64; 2]> {
+        let mut sums = vec![[[0.0; 3]; 2]; state.data.groups.len()];
         let Some(covariance) = normal.covariance() else { return vec![[0.0; 2]; sums.len()] };
-        let every = self.data.rows.len().div_ceil(SAMPLE);
-        for row in (0..self.data.rows.len()).step_by(every) {
-            let (number, _) = state.group_of(self.data, row);
-            if weights.poses[row] < 1.0 || !state.is_known(self.data, row) {
+        let every = state.data.rows.len().div_ceil(SAMPLE);
+        for row in (0..state.data.rows.len()).step_by(every) {
+            let (number, _) = state.group_of(row);
+            if normal.weights.poses[row] < 1.0 || !state.is_known(row) {
                 continue;
             }
-            let Some(reduced) = self.reduced(state, normal, weights, row) else { continue };
+            let Some(reduced) = self.reduced(state, normal, row) else { continue };
             let spread = &covariance * &reduced.derivatives;
             // The last six are those of the instrument.
             let first = reduced.residuals.len() - 6;
@@ -396,21 +363,22 @@ impl<'a> Adjustment<'a> {
     }
 
     /// Row `row` without what its own pose explains; `None`: nothing tells that pose.
-    pub(crate) fn reduced(&self, state: &State, normal: &Normal, weights: &Weights, row: usize) -> Option<Reduced> {
+    pub(crate) fn reduced(&self, state: &State<'_>, normal: &Normal, row: usize) -> Option<Reduced> {
         let factor = &normal.rows[row].as_ref()?.factor;
-        let terms = row_terms(self.data, state, &normal.cells, weights, row, state.length_scale_m);
-        let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), terms.by_pose.len());
-        let by_pose: Vec<_> = terms.by_pose.iter().map(|of| forward(factor, *of)).collect();
-        for (k, (of_pose, of_unknown)) in by_pose.iter().zip(&terms.by_unknown).enumerate() {
+        let equations = equations(state, &normal.cells, &normal.weights, row);
+        let mut derivatives = DMatrix::zeros(normal.matrix.nrows(), equations.len());
+        let by_pose: Vec<_> = equations.iter().map(|equation| forward(factor, equation.by_pose)).collect();
+        for (k, (of_pose, equation)) in by_pose.iter().zip(&equations).enumerate() {
             let mut column = derivatives.column_mut(k);
-            for &(place, value) in of_unknown {
+            for &(place, value) in &equation.by_unknown {
                 column[place] = value;
             }
             for (j, &by) in of_pose.iter().enumerate() {
                 column.axpy(-by, &normal.coupling.column(6 * row + j), 1.0);
             }
         }
-        Some(Reduced { residuals: terms.residuals, derivatives, by_pose })
+        let residuals = equations.iter().map(|equation| equation.residual).collect();
+        Some(Reduced { residuals, derivatives, by_pose })
     }
 }
 

@@ -10,11 +10,10 @@ use slitpose_head::scene_file::Workspace;
 use slitpose_model::Pose;
 
 use crate::adjust::Adjustment;
-use crate::coverage::half_extents;
-use crate::data::{Row, values_of};
+use crate::data::{Row, half_extents, values_of};
 use crate::normal::Normal;
 use crate::reading::{whiten, whitener};
-use crate::state::{State, Weights};
+use crate::state::State;
 
 /// Functions of the pose: linear and quadratic ones of six coordinates.
 const FUNCTIONS: usize = 6 + 21;
@@ -88,10 +87,9 @@ pub(crate) struct Discrepancy {
 impl Discrepancy {
     /// At the result of an adjustment.
     pub(crate) fn of(
-        adjustment: &Adjustment<'_>,
-        state: &State,
+        adjustment: &Adjustment,
+        state: &State<'_>,
         normal: &Normal,
-        weights: &Weights,
         workspace: &Workspace,
     ) -> Option<Self> {
         let size = |of_kind: f64| of_kind * (SMOOTH / FUNCTIONS as f64).sqrt();
@@ -99,11 +97,11 @@ impl Discrepancy {
         let (count, functions) = (normal.matrix.nrows(), Functions::over(&state.poses, workspace));
         let mut found = Self { functions, sizes, reaction: DMatrix::zeros(count, 2 * normal.cells.len() * FUNCTIONS) };
         for (row, pose) in state.poses.iter().enumerate() {
-            let Some(reduced) = adjustment.reduced(state, normal, weights, row) else { continue };
-            let Row { readings, frames, .. } = &adjustment.data.rows[row];
+            let Some(reduced) = adjustment.reduced(state, normal, row) else { continue };
+            let Row { readings, frames, .. } = &state.data.rows[row];
             let mut residual = 0;
             for (cell, sensitivity) in normal.cells.iter().enumerate() {
-                let weight = weights.readings[row][cell];
+                let weight = normal.weights.readings[row][cell];
                 let (Some(reading), Some(pair)) = (readings[cell], sensitivity.pairs[row]) else { continue };
                 if weight == 0.0 {
                     continue;
@@ -128,12 +126,8 @@ impl Discrepancy {
     pub(crate) fn changes(&self, cell: usize, by: [[f64; 2]; 2], pose: &Pose) -> Vec<(usize, [f64; 2])> {
         let functions = self.functions.at(pose);
         let of_kind = |kind: usize| {
-            let size = self.sizes[cell][kind];
-            let place = (2 * cell + kind) * FUNCTIONS;
-            functions
-                .into_iter()
-                .enumerate()
-                .map(move |(k, function)| (place + k, by[kind].map(|of| of * size * function)))
+            let (size, first) = (self.sizes[cell][kind], (2 * cell + kind) * FUNCTIONS);
+            (first..).zip(functions).map(move |(place, function)| (place, by[kind].map(|of| of * size * function)))
         };
         of_kind(0).chain(of_kind(1)).collect()
     }
@@ -162,22 +156,22 @@ mod tests {
         let poses: Vec<Pose> = file.workspace.poses(60).collect();
         let cells = sensitivities(&file.scene, &parameters, &poses, false).expect("currents");
         let row = |(number, pose): (usize, &Pose)| Row {
-            id: String::new(),
             readings: cells.iter().map(|cell| cell.pairs[number]).collect(),
             frames: 16.0,
-            time_s: None,
             knowledge: Knowledge::Reported(*pose),
+            ..Row::default()
         };
         let mut data = Data::default();
         data.add("", Constraint::Known, [2e-6, 20e-6], poses.iter().enumerate().map(row).collect());
         let mut state = State::new(&file.scene, parameters, &data, poses, vec![USUAL_ERROR; cells.len()]);
         state.residual_errors.fill([USUAL_ERROR.relative, USUAL_ERROR.position_m]);
-        let adjust = |data: &Data, state: &mut State| {
-            let adjustment = Adjustment::new(&file.scene, data, DMatrix::identity(count, count), false);
-            let (normal, weights) = adjustment.minimise(state, 5).expect("a head");
-            Discrepancy::of(&adjustment, state, &normal, &weights, &file.workspace).expect("a minimum")
+        let adjust = |state: &mut State<'_>| {
+            let prior = DMatrix::identity(count, count);
+            let adjustment = Adjustment { prior, learns_sizes: false };
+            let normal = adjustment.minimise(state, 5).expect("a head");
+            Discrepancy::of(&adjustment, state, &normal, &file.workspace).expect("a minimum")
         };
-        let discrepancy = adjust(&data, &mut state);
+        let discrepancy = adjust(&mut state);
         // Of intensity and of position: linear and quadratic.
         for wanted in [(1, 2), (1, FUNCTIONS + 7), (4, 12), (4, FUNCTIONS)] {
             let (cell, place) = (wanted.0, 2 * wanted.0 * FUNCTIONS + wanted.1);
@@ -189,7 +183,8 @@ mod tests {
                 *reading = [reading[0] + change[0], reading[1] + change[1]];
             }
             let mut found = state.clone();
-            adjust(&bent, &mut found);
+            found.data = &bent;
+            adjust(&mut found);
             let shifts = found.parameters.entries.iter().map(|entry| entry.shift());
             let (mut missed, mut all) = (0.0, 0.0);
             for (shift, predicted) in shifts.zip(discrepancy.reaction.column(place).iter()) {

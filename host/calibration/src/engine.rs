@@ -5,12 +5,11 @@ use std::ops::ControlFlow;
 use nalgebra::DMatrix;
 use slitpose_head::scene_file::SceneFile;
 use slitpose_head::table::TableError;
-use slitpose_model::{ModelError, Scene, SceneError};
+use slitpose_model::{Scene, SceneError};
 use thiserror::Error;
 
-use crate::adjust::Adjustment;
-use crate::coverage::Coverage;
-use crate::data::{Constraint, Data};
+use crate::adjust::{Adjustment, FIRST_ERROR};
+use crate::data::{self, Constraint, Data, Group};
 use crate::discrepancy::Discrepancy;
 use crate::light::LightTrend;
 use crate::normal::Normal;
@@ -18,19 +17,21 @@ use crate::plausibility::Implausible;
 use crate::pose_error::PoseError;
 use crate::prior::Parameters;
 use crate::reading::share;
-use crate::start::{Beginning, solved};
+use crate::start::{beginning, solved};
 use crate::state::{State, Weights, residuals};
 use crate::{
-    Calibration, CalibrationFileError, Frames, Residual, Statistics, findings, plausibility, prior, uncalibrated,
+    Calibration, CalibrationFileError, Coverage, Frames, Residual, Statistics, findings, plausibility, prior,
+    uncalibrated,
 };
 
 /// Rounds of adjustment and estimate of the model errors.
 const ROUNDS: usize = 12;
 
 /// How much larger the model errors of a cell are for a solver than the root mean square of its residuals, whose tail is
-/// longer than a normal one's, even where they grow towards the ends of detectors ([`ModelError::reach`]). Of five heads at 200
-/// poses, 2000 means of 100 frames: none is `converged` beyond 8 σ (7.4), 3 leave a sound cell out or are a misfit (none with
-/// 1.6); errors are 0.84 σ rms (0.74 σ), of single frames 0.97 σ.
+/// longer than a normal one's, even where they grow towards the ends of detectors
+/// ([`slitpose_model::ModelError::reach`]). Of five heads at 200 poses, 2000 means of 100 frames: none is `converged`
+/// beyond 8 σ (7.4), 3 leave a sound cell out or are a misfit (none with 1.6); errors are 0.84 σ rms (0.74 σ), of single
+/// frames 0.97 σ.
 const TAIL: f64 = 1.2;
 
 /// Least reach: model errors at the end of a detector are then some hundred times those of its centre, as unknown as before.
@@ -134,7 +135,7 @@ pub struct Calibrated {
 /// let row = |pose| {
 ///     let pair = |cell| { let pair = plan.photocurrents(cell, &pose); Some([pair.i_x1_a, pair.i_x2_a]) };
 ///     let readings = (0..plan.cell_count()).map(pair).collect();
-///     Row { id: String::new(), readings, frames: 1.0, time_s: None, knowledge: Knowledge::Reported(pose) }
+///     Row { readings, knowledge: Knowledge::Reported(pose), ..Row::default() }
 /// };
 /// let mut data = Data::default();
 /// data.add("poses.csv", Constraint::Known, [2e-6, 2e-4], file.workspace.poses(40).map(row).collect());
@@ -159,50 +160,48 @@ pub fn calibrate(
     let _ = progress(Progress::Starting);
     let by_tolerances = uncalibrated(file)?;
     let (outliers, mut remarks) = plausibility::check(&by_tolerances, data)?;
-    let kept;
-    let mut data = data;
-    if !outliers.is_empty() {
-        kept = data.without(&outliers);
-        data = &kept;
-    }
+    let kept = (!outliers.is_empty()).then(|| data.without(&outliers));
+    let data = kept.as_ref().unwrap_or(data);
     let nominal = Scene { noise: data.noise.or(file.scene.noise), ..file.scene.clone() };
-    let errors = vec![ModelError::default(); file.scene.cells.len()];
+    // Cells are not trusted far at first.
+    let errors = vec![FIRST_ERROR; file.scene.cells.len()];
     let started = start.map(|start| start.apply(file)).transpose()?;
-    let Beginning { poses, unknowns } = Beginning::of(started.as_ref().unwrap_or(&by_tolerances), start, data)?;
+    let (poses, unknowns) = beginning(started.as_ref().unwrap_or(&by_tolerances), start, data)?;
     let mut state = State::new(&nominal, parameters, data, poses, errors);
     state.unknowns = unknowns;
     let mut is_interrupted = false;
-    let mut adjustment = Adjustment::new(&nominal, data, information, start.is_none());
-    let (mut normal, mut weights) = adjustment.first(&mut state)?;
+    let mut adjustment = Adjustment { prior: information, learns_sizes: start.is_none() };
+    let mut normal = adjustment.minimise(&mut state, 4)?;
     let mut round = 1;
     loop {
-        let fit = adjustment.fit(&state, &normal, &weights);
-        if progress(Progress::Adjusting(round.min(ROUNDS), ROUNDS, fit)).is_break() {
+        let Statistics { chi2, redundancy, .. } = adjustment.statistics(&state, &normal);
+        if progress(Progress::Adjusting(round.min(ROUNDS), ROUNDS, chi2 / redundancy)).is_break() {
             is_interrupted = true;
             break;
         }
-        let change = adjustment.round(&mut state, &mut normal, &mut weights)?;
+        let change = adjustment.round(&mut state, &mut normal)?;
         if change < 0.1 || round % ROUNDS == 0 {
-            if !adjustment.adds_light(&mut state, &mut normal, &mut weights)? {
+            if !adjustment.adds_light(&mut state, &mut normal)? {
                 break;
             }
             round = round.next_multiple_of(ROUNDS);
         }
         round += 1;
     }
-    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, data, &state, &weights) {
-        let likely = plausibility::likely_reading(&state.scene(&nominal), data)?.map(CalibrateError::Implausible);
+    if !is_interrupted && let Err(error) = findings::require_agreement(&by_tolerances, &state, &normal.weights) {
+        let likely = plausibility::likely_reading(&state.scene(), data)?.map(CalibrateError::Implausible);
         return Err(likely.unwrap_or(error));
     }
-    remarks.extend(findings::remarks(data, &state, &weights));
-    let mut calibration = conclude(request, &adjustment, state.clone(), &normal, &weights)?;
+    remarks.extend(findings::remarks(&state, &normal.weights));
+    let mut calibration = conclude(request, &adjustment, state.clone(), &normal)?;
     remarks.extend(calibration.light.iter().map(LightTrend::remark));
     remarks.extend(calibration.covered.as_ref().and_then(|covered| covered.remark(&file.workspace)));
     if !is_interrupted {
-        is_interrupted = hold_out(&adjustment, &state, &weights, &mut calibration.statistics, &mut remarks, progress)?;
+        is_interrupted =
+            hold_out(&adjustment, &state, &normal.weights, &mut calibration.statistics, &mut remarks, progress)?;
     }
     calibration.write();
-    let residuals = residuals(&nominal, data, &state)?;
+    let residuals = residuals(&state)?;
     Ok(Calibrated { calibration, residuals, remarks, is_interrupted })
 }
 
@@ -226,22 +225,19 @@ fn before(file: &SceneFile, start: Option<&Calibration>) -> Result<(Parameters, 
 
 fn conclude(
     request: &Request<'_>,
-    adjustment: &Adjustment<'_>,
-    mut state: State,
+    adjustment: &Adjustment,
+    mut state: State<'_>,
     normal: &Normal,
-    weights: &Weights,
 ) -> Result<Calibration, CalibrateError> {
-    let Request { file, date, .. } = *request;
-    let data = adjustment.data;
+    let (Request { file, date, .. }, data) = (*request, state.data);
     let by_noise = normal.covariance().ok_or(CalibrateError::Singular)?;
-    let discrepancy =
-        Discrepancy::of(adjustment, &state, normal, weights, &file.workspace).ok_or(CalibrateError::Singular)?;
-    let (pose_error, rest) = PoseError::of(adjustment.nominal, &state, &by_noise, Some(&discrepancy), &file.workspace)?;
+    let discrepancy = Discrepancy::of(adjustment, &state, normal, &file.workspace).ok_or(CalibrateError::Singular)?;
+    let (pose_error, rest) = PoseError::of(&state, &by_noise, Some(&discrepancy), &file.workspace)?;
     let covariance = by_noise + discrepancy.covariance();
-    let covered = Coverage::of(adjustment.nominal, data, &state, weights, &covariance, &file.workspace)?;
-    let statistics = adjustment.statistics(&state, normal, weights);
+    let covered = Coverage::of(&state, &normal.weights, &covariance, &file.workspace)?;
+    let statistics = adjustment.statistics(&state, normal);
     for (cell, (error, rest)) in state.model_errors.iter_mut().zip(rest).enumerate() {
-        error.reach = reach(data, weights, cell);
+        error.reach = reach(data, &normal.weights, cell);
         error.relative = libm::hypot(TAIL * error.relative, rest.relative);
         error.position_m = libm::hypot(TAIL * error.position_m, rest.position_m);
     }
@@ -252,26 +248,24 @@ fn conclude(
     let correlation = (0..count)
         .map(|i| (0..i).map(|j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt()).collect())
         .collect();
-    let mut frames = Vec::new();
-    for (number, group) in data.groups.iter().enumerate() {
-        if group.constraint != Constraint::KnownInOwnFrames {
-            continue;
-        }
+    let has_own_frames = |(_, group): &(usize, &Group)| group.constraint == Constraint::KnownInOwnFrames;
+    let frames_of = |(number, group): (usize, &Group)| {
         let part = |from: usize| std::array::from_fn(|k| state.unknowns[number][from + k]);
         let sigma = |from: usize| {
             std::array::from_fn(|k| {
                 let place = state.first_unknown(number) + from + k;
-                covariance[(place, place)].sqrt() * crate::constraint::scale(group.constraint, from + k)
+                covariance[(place, place)].sqrt() * data::scale(group.constraint, from + k)
             })
         };
-        frames.push(Frames {
+        Frames {
             file: group.file.clone(),
             base_from_reference: part(0),
             base_from_reference_sigma: sigma(0),
             tool_from_marker: part(6),
             tool_from_marker_sigma: sigma(6),
-        });
-    }
+        }
+    };
+    let frames = data.groups.iter().enumerate().filter(has_own_frames).map(frames_of).collect();
     let weak = findings::weaknesses(&pose_error, &state.parameters.entries, &file.workspace, data);
     let mut calibration = Calibration {
         id: String::new(),
@@ -285,7 +279,7 @@ fn conclude(
         statistics,
         weak,
         frames,
-        light: LightTrend::all(data, &state, &covariance),
+        light: LightTrend::all(&state, &covariance),
         covered,
         parameters: state.parameters,
         correlation,
@@ -296,7 +290,7 @@ fn conclude(
     Ok(calibration)
 }
 
-/// See [`ModelError::reach`]; readings that were left out do not count.
+/// See [`slitpose_model::ModelError::reach`]; readings that were left out do not count.
 fn reach(data: &Data, weights: &Weights, cell: usize) -> Option<f64> {
     let used = data.rows.iter().zip(&weights.readings).filter(|(_, weights)| weights[cell] > 0.0);
     let mut from_centre: Vec<f64> =
@@ -308,14 +302,14 @@ fn reach(data: &Data, weights: &Weights, cell: usize) -> Option<f64> {
 
 /// Errors of poses of rows that are left out in turn, against the instrument, its outliers excepted; whether it was interrupted.
 fn hold_out(
-    adjustment: &Adjustment<'_>,
-    state: &State,
+    adjustment: &Adjustment,
+    state: &State<'_>,
     weights: &Weights,
     statistics: &mut Statistics,
     remarks: &mut Vec<String>,
     progress: &mut dyn FnMut(Progress) -> ControlFlow<()>,
 ) -> Result<bool, CalibrateError> {
-    let data = adjustment.data;
+    let data = state.data;
     let known: Vec<usize> =
         (0..data.rows.len()).filter(|&row| weights.poses[row] == 1.0 && data.rows[row].reported().is_some()).collect();
     if known.len() < MIN_HELD_OUT {
@@ -331,14 +325,15 @@ fn hold_out(
         for &row in left_out {
             rest.rows[row].readings.fill(None);
         }
-        let without = Adjustment::new(adjustment.nominal, &rest, adjustment.prior.clone(), false);
+        let without = Adjustment { prior: adjustment.prior.clone(), learns_sizes: false };
         let mut found = state.clone();
+        found.data = &rest;
         without.minimise(&mut found, 2)?;
-        let scene: Scene = found.parameters.scene(adjustment.nominal);
+        let scene: Scene = found.parameters.scene(state.nominal);
         let rows: Vec<_> = left_out.iter().map(|&row| data.rows[row].clone()).collect();
         for (&row, pose) in left_out.iter().zip(solved(&scene, &rows)?) {
             let (Some(pose), Some(report)) = (pose, data.rows[row].reported()) else { continue };
-            let (t, r) = pose.displacement_from(&found.expected(data, row, &report));
+            let (t, r) = pose.displacement_from(&found.expected(row, &report));
             squares[0] += t.length_squared();
             squares[1] += r.length_squared();
             count += 1.0;

@@ -1,14 +1,18 @@
-//! What adjusted data showed and what they left open; what is wrong with them, refused or remarked.
+//! What adjusted data showed and what they left open; which part of the workspace known poses cover; what is wrong with the data,
+//! refused or remarked.
 
 use nalgebra::{DMatrix, SymmetricEigen};
+use schemars::JsonSchema;
+use serde::Deserialize;
 use slitpose_head::scene_file::Workspace;
-use slitpose_model::{Pose, Scene};
+use slitpose_head::table::POSE_COLUMNS;
+use slitpose_model::{Pose, Scene, SceneError};
 
 use crate::adjust::FIRST_ERROR;
-use crate::data::{Constraint, Data};
-use crate::pose_error::{COEFFICIENTS, PoseError};
+use crate::data::{Constraint, Data, half_extents, values_of};
+use crate::pose_error::{COEFFICIENTS, POSES, PoseError, spread};
 use crate::prior::Parameter;
-use crate::state::{State, Weights};
+use crate::state::{State, Weights, sensitivities};
 use crate::{CalibrateError, Calibration};
 
 /// Share of what tolerances do to a cell that no adjustment leaves over: a hundredth is usual, and where cells or electrodes
@@ -26,19 +30,18 @@ const COARSE_RATIO: f64 = 20.0;
 /// Refuses data that an adjustment did not bring together; `by_tolerances` is the head before it.
 pub(crate) fn require_agreement(
     by_tolerances: &Scene,
-    data: &Data,
-    state: &State,
+    state: &State<'_>,
     weights: &Weights,
 ) -> Result<(), CalibrateError> {
-    foreign_rows(data, weights)?;
-    foreign_poses(data, state)?;
+    foreign_rows(state.data, weights)?;
+    foreign_poses(state)?;
     foreign_cells(by_tolerances, state)
 }
 
 /// What a user should know of the adjustment, with the next step.
-pub(crate) fn remarks(data: &Data, state: &State, weights: &Weights) -> Vec<String> {
-    let mut remarks = worse_instruments(data, state);
-    remarks.extend(poses_left_out(data, state, weights));
+pub(crate) fn remarks(state: &State<'_>, weights: &Weights) -> Vec<String> {
+    let mut remarks = worse_instruments(state);
+    remarks.extend(poses_left_out(state, weights));
     remarks.extend(beyond_tolerances(&state.parameters.entries));
     remarks
 }
@@ -56,8 +59,8 @@ fn foreign_rows(data: &Data, weights: &Weights) -> Result<(), CalibrateError> {
 }
 
 /// Refuses poses that the readings contradict by more than a coarse instrument errs.
-fn foreign_poses(data: &Data, state: &State) -> Result<(), CalibrateError> {
-    for (group, ratios) in data.groups.iter().zip(&state.scales) {
+fn foreign_poses(state: &State<'_>) -> Result<(), CalibrateError> {
+    for (group, ratios) in state.data.groups.iter().zip(&state.scales) {
         let stated = [group.sigma_m, group.sigma_rad];
         let found = |k: usize| stated[k] * ratios[k];
         let Some(k) = (0..2).find(|&k| ratios[k] > COARSE_RATIO && found(k) > COARSE[k]) else { continue };
@@ -68,7 +71,7 @@ fn foreign_poses(data: &Data, state: &State) -> Result<(), CalibrateError> {
 }
 
 /// Refuses readings that the parameters do not explain, and which the adjustment leaves to the model errors of cells.
-fn foreign_cells(by_tolerances: &Scene, state: &State) -> Result<(), CalibrateError> {
+fn foreign_cells(by_tolerances: &Scene, state: &State<'_>) -> Result<(), CalibrateError> {
     let cells = by_tolerances.cells.iter().zip(&state.model_errors).enumerate();
     let foreign = cells.filter_map(|(number, (cell, left))| {
         let before = &cell.effects.model_error;
@@ -85,9 +88,9 @@ fn foreign_cells(by_tolerances: &Scene, state: &State) -> Result<(), CalibrateEr
 /// Ratio of an instrument's errors to its stated σ that counts as worse.
 const WORSE: f64 = 1.5;
 
-fn worse_instruments(data: &Data, state: &State) -> Vec<String> {
+fn worse_instruments(state: &State<'_>) -> Vec<String> {
     let mut remarks = Vec::new();
-    for (group, [lengths, angles]) in data.groups.iter().zip(&state.scales) {
+    for (group, [lengths, angles]) in state.data.groups.iter().zip(&state.scales) {
         for (sigma, scale, unit) in [(group.sigma_m, lengths, "µm"), (group.sigma_rad, angles, "µrad")] {
             if *scale > WORSE {
                 let [stated, found] = [sigma * 1e6, sigma * scale * 1e6];
@@ -124,11 +127,12 @@ fn beyond_tolerances(parameters: &[Parameter]) -> Option<String> {
 }
 
 /// Poses of instruments that were outliers, with how far they are from where the readings have the tool.
-fn poses_left_out(data: &Data, state: &State, weights: &Weights) -> Option<String> {
+fn poses_left_out(state: &State<'_>, weights: &Weights) -> Option<String> {
+    let data = state.data;
     let mut left_out = Vec::new();
     for row in (0..data.rows.len()).filter(|&row| weights.poses[row] < 1.0) {
         let Some(report) = data.rows[row].reported() else { continue };
-        let (t, r) = state.poses[row].displacement_from(&state.expected(data, row, &report));
+        let (t, r) = state.poses[row].displacement_from(&state.expected(row, &report));
         left_out.push(format!("{} by {:.0} µm and {:.1} mrad", data.rows[row].id, t.length() * 1e6, r.length() * 1e3));
     }
     let more = if left_out.len() > NAMED { ", and more" } else { "" };
@@ -247,5 +251,89 @@ impl Calibration {
             Direction { sigma: eigen.eigenvalues[place].max(0.0).sqrt(), shares }
         };
         order.into_iter().map(direction).collect()
+    }
+}
+
+/// Share of the workspace, along one of its axes, below which poses do not speak for the whole.
+const COVERED: f64 = 0.6;
+
+/// The box that the known poses span.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+pub struct Coverage {
+    /// Least translations and rotation vectors, metres and radians.
+    pub lower: [f64; 6],
+    /// Greatest ones.
+    pub upper: [f64; 6],
+    /// Share of the workspace's volume.
+    pub share: f64,
+    /// Expected error of translations in the rest of the workspace by the parameters alone, root mean square of the
+    /// distance, metres; `None`: there is no rest.
+    pub outside_m: Option<f64>,
+    /// The same of rotations, radians.
+    pub outside_rad: Option<f64>,
+}
+
+impl Coverage {
+    /// Of the poses that were known and no outliers; `None`: there are none. `covariance` is that of the unknowns.
+    pub(crate) fn of(
+        state: &State<'_>,
+        weights: &Weights,
+        covariance: &DMatrix<f64>,
+        workspace: &Workspace,
+    ) -> Result<Option<Self>, SceneError> {
+        let rows = &state.data.rows;
+        let is_known = |row: &usize| weights.poses[*row] == 1.0 && rows[*row].reported().is_some();
+        let values = (0..rows.len()).filter(is_known).map(|row| values_of(&state.poses[row]));
+        let bounds = values.map(|values| [values, values]).reduce(|[lower, upper], [value, _]| {
+            [0, 1].map(|k| std::array::from_fn(|axis| [f64::min, f64::max][k]([lower, upper][k][axis], value[axis])))
+        });
+        let Some([lower, upper]) = bounds else { return Ok(None) };
+        let mut found = Self { lower, upper, share: 1.0, outside_m: None, outside_rad: None };
+        found.share = found.shares(workspace).into_iter().product();
+        let outside: Vec<Pose> = workspace.poses(POSES).filter(|pose| !found.contains(pose)).collect();
+        let cells = sensitivities(state.nominal, &state.parameters, &outside, true)?;
+        let count = state.parameters.entries.len();
+        let of_parameters = covariance.view((0, 0), (count, count)).clone_owned();
+        if let [[metres, radians]] = spread(state, &cells, &outside, &[of_parameters])[..]
+            && metres > 0.0
+        {
+            (found.outside_m, found.outside_rad) = (Some(metres), Some(radians));
+        }
+        Ok(Some(found))
+    }
+
+    fn contains(&self, pose: &Pose) -> bool {
+        let values = values_of(pose);
+        (0..6).all(|axis| (self.lower[axis]..=self.upper[axis]).contains(&values[axis]))
+    }
+
+    /// Of each axis of the workspace.
+    fn shares(&self, workspace: &Workspace) -> [f64; 6] {
+        let half = half_extents(workspace);
+        std::array::from_fn(|axis| {
+            let [lower, upper] = [self.lower[axis], self.upper[axis]].map(|end| end.clamp(-half[axis], half[axis]));
+            if half[axis] > 0.0 { 0.5 * (upper - lower) / half[axis] } else { 1.0 }
+        })
+    }
+
+    /// A sentence for users, if poses are missing somewhere.
+    pub(crate) fn remark(&self, workspace: &Workspace) -> Option<String> {
+        let few = self.shares(workspace).into_iter().enumerate().filter(|(_, share)| *share < COVERED);
+        let few: Vec<String> =
+            few.map(|(axis, share)| format!("{} {:.0} %", POSE_COLUMNS[axis], 100.0 * share)).collect();
+        let expected = match (self.outside_m, self.outside_rad) {
+            (Some(metres), Some(radians)) => {
+                format!("expect {:.0} µm and {:.2} mrad rms outside it", metres * 1e6, radians * 1e3)
+            }
+            _ => "outside it errors are greater".to_owned(),
+        };
+        (!few.is_empty()).then(|| {
+            format!(
+                "the poses cover only a part of the workspace ({}; {:.2} % of its volume): the error of poses left out \
+                 holds within that part, {expected}; add poses farther out",
+                few.join(", "),
+                100.0 * self.share
+            )
+        })
     }
 }

@@ -161,24 +161,24 @@ pub fn uncalibrated(file: &SceneFile) -> Result<Scene, SceneError> {
 /// What the standard deviations of all parameters of cell `number` do to its currents, root mean square over `poses`.
 fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pose]) -> Result<ModelError, SceneError> {
     let cell = &nominal.cells[number];
-    let usual = Observer::of(parameters.cell(cell, number, None))?;
-    let lit: Vec<(&Pose, [f64; 2])> = poses.iter().filter_map(|pose| Some((pose, usual.see(pose)?))).collect();
+    let usual = alone(parameters.cell(cell, number, None))?;
+    let lit: Vec<(&Pose, [f64; 2])> = poses.iter().filter_map(|pose| Some((pose, seen(&usual, pose)?))).collect();
     let [mut relative, mut position, mut current] = [0.0; 3];
     for place in parameters.acting_on(cell, number, 0) {
         let parameter = &parameters.entries[place];
         let adds_current =
             matches!(parameter.quantity, Quantity::Stray(_) | Quantity::StrayLevel(_) | Quantity::StrayBalance(_));
         let changed = Some((place, parameter.value + STEP * parameter.sigma));
-        let changed = Observer::of(parameters.cell(cell, number, changed))?;
+        let changed = alone(parameters.cell(cell, number, changed))?;
         for (pose, before) in &lit {
             // A spot that the change moves off the detector is seen at other poses.
-            let Some(after) = changed.see(pose) else { continue };
+            let Some(after) = seen(&changed, pose) else { continue };
             let change = |of: fn([f64; 2]) -> f64| ((of(after) - of(*before)) / STEP).powi(2);
             if adds_current {
                 current += 0.5 * (change(|[first, _]| first) + change(|[_, second]| second));
             } else {
                 relative += change(|[first, second]| libm::log(first + second));
-                position += change(share) * usual.half_length_m.powi(2);
+                position += change(share) * (0.5 * cell.detector.length_m).powi(2);
             }
         }
     }
@@ -187,26 +187,17 @@ fn open_by(parameters: &Parameters, number: usize, nominal: &Scene, poses: &[Pos
     Ok(ModelError { relative, position_m, current_a, reach: None })
 }
 
-struct Observer {
-    plan: CompiledScene<f64>,
-    half_length_m: f64,
+fn alone(mut cell: Cell) -> Result<CompiledScene<f64>, SceneError> {
+    // The numbers of other emitters mean nothing here.
+    cell.effects.lit_together = 0;
+    CompiledScene::compile(&Scene { cells: FixedVec::from_iter([cell]), ..Scene::default() }, Tier::Paper)
 }
 
-impl Observer {
-    fn of(mut cell: Cell) -> Result<Self, SceneError> {
-        // The numbers of other emitters mean nothing here.
-        cell.effects.lit_together = 0;
-        let half_length_m = 0.5 * cell.detector.length_m;
-        let scene = Scene { cells: FixedVec::from_iter([cell]), ..Scene::default() };
-        Ok(Self { plan: CompiledScene::compile(&scene, Tier::Paper)?, half_length_m })
-    }
-
-    /// The currents of a spot that lies on the detector.
-    fn see(&self, pose: &Pose) -> Option<[f64; 2]> {
-        let pair = self.plan.photocurrents(0, pose);
-        let is_seen = self.plan.respond(0, pose).status == Status::Lit && pair.total_a() > 0.0;
-        is_seen.then_some([pair.i_x1_a, pair.i_x2_a])
-    }
+/// The currents of a cell alone, if its spot lies on the detector.
+fn seen(plan: &CompiledScene<f64>, pose: &Pose) -> Option<[f64; 2]> {
+    let pair = plan.photocurrents(0, pose);
+    let is_seen = plan.respond(0, pose).status == Status::Lit && pair.total_a() > 0.0;
+    is_seen.then_some([pair.i_x1_a, pair.i_x2_a])
 }
 
 #[cfg(test)]
@@ -256,16 +247,12 @@ mod tests {
         let scene = uncalibrated(&file).expect("a head");
         let usual = CompiledScene::<f64>::compile(&scene, TIER).expect("a head");
         let solver = Solver::<f64>::new(&scene, TIER).expect("a head");
-        let parameters = prior::parameters(&file).expect("a prior");
         let mut rng = ChaCha8Rng::seed_from_u64(SEED);
         let (mut squares, mut errors) = ([0.0; 6], Vec::new());
         let (mut poses, mut evaluations) = (0, 0);
         for head in 0..HEADS {
-            let mut drawn = parameters.clone();
-            for entry in &mut drawn.entries {
-                entry.value += entry.sigma * rng.sample::<f64, _>(StandardNormal);
-            }
-            let truth = CompiledScene::<f64>::compile(&drawn.scene(&file.scene), TIER).expect("a head");
+            let (drawn, _) = prior::draw(&file, || rng.sample(StandardNormal)).expect("a head");
+            let truth = CompiledScene::<f64>::compile(&drawn, TIER).expect("a head");
             for _ in 0..ROWS {
                 let mut within =
                     |extent: DVec3| extent * DVec3::from_array([(); 3].map(|()| rng.random_range(-1.0..1.0)));

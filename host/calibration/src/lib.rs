@@ -3,10 +3,10 @@
 //! [`calibrate`] takes a scene and [`Data`] and gives a [`Calibration`]: what it makes of the scene, and what it leaves open
 //! in each pose. Read in this order:
 //! * `parameter`, `prior`: what a head may deviate in, and by how much before anything is measured;
-//! * `data`, `tables`, `constraint`: what was measured, and what is known of the poses;
+//! * `data`, `tables`: what was measured, and what is known of the poses;
 //! * `plausibility`, `start`: wrong data are refused, first poses found;
 //! * `state`, `light`, `normal`, `adjust`: derivatives, normal equations without the poses, steps, outliers, model errors;
-//! * `engine`: all of it in order; `discrepancy`, `pose_error`, `coverage`, `findings`: what came of it, and what tolerances cost
+//! * `engine`: all of it in order; `discrepancy`, `pose_error`, `findings`: what came of it, and what tolerances cost
 //!   without it;
 //! * `file`: how it is stored; `head`: what solves with it, or without any; `reading`: whether it still holds.
 //!
@@ -16,8 +16,6 @@
 #![forbid(unsafe_code)]
 
 mod adjust;
-mod constraint;
-mod coverage;
 mod data;
 mod discrepancy;
 mod engine;
@@ -40,11 +38,10 @@ use serde::Deserialize;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, Tier};
 
-pub use coverage::Coverage;
-pub use data::{Constraint, Data, Group, Knowledge, Row, compose, inverse, median, pose_of, values_of};
+pub use data::{Constraint, Data, Group, Knowledge, Row, compose, half_extents, inverse, median, pose_of, values_of};
 pub use engine::{CalibrateError, Calibrated, Progress, Request, calibrate};
 pub use file::{CalibrationFileError, Frames, file_schema};
-pub use findings::Direction;
+pub use findings::{Coverage, Direction};
 pub use head::{Basis, Head, uncalibrated};
 pub use light::LightTrend;
 pub use parameter::Quantity;

@@ -7,7 +7,6 @@
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::Deserialize;
-use slitpose_model::Scene;
 
 use crate::data::{Constraint, Data, Group};
 use crate::normal::Normal;
@@ -32,29 +31,17 @@ const BETWEEN: f64 = 0.06;
 /// Share of the change by which a warm-up gets its name; with less it is the bend of some other trend.
 const NAMED: f64 = 0.2;
 
-/// How a part of the light depends on x.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Shape {
-    /// In proportion.
-    Linear,
-    /// By exp(−x/τ).
-    WarmUp(f64),
-}
-
-impl Shape {
-    fn at(self, x: f64) -> f64 {
-        match self {
-            Self::Linear => x,
-            Self::WarmUp(share) => libm::exp(-x / share),
-        }
-    }
+/// φ at x: of a warm-up with the time constant `warm_up`, else in proportion.
+fn shape(warm_up: Option<f64>, x: f64) -> f64 {
+    warm_up.map_or(x, |share| libm::exp(-x / share))
 }
 
 /// One term of the trend of one file.
 #[derive(Clone, Debug)]
 pub(crate) struct Term {
     group: usize,
-    shape: Shape,
+    /// τ, if it is one.
+    warm_up: Option<f64>,
     /// φ of each row of the file, without its mean.
     values: Vec<f64>,
     /// a in units of its σ.
@@ -63,11 +50,12 @@ pub(crate) struct Term {
 }
 
 impl Term {
-    fn new(data: &Data, group: usize, shape: Shape, sigma: f64) -> Self {
-        let mut values: Vec<f64> = places(data, &data.groups[group]).into_iter().map(|x| shape.at(x)).collect();
+    fn new(data: &Data, group: usize, warm_up: Option<f64>, sigma: f64) -> Self {
+        let places = places(data, &data.groups[group]);
+        let mut values: Vec<f64> = places.into_iter().map(|x| shape(warm_up, x)).collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         values.iter_mut().for_each(|value| *value -= mean);
-        Self { group, shape, values, amplitude: 0.0, sigma }
+        Self { group, warm_up, values, amplitude: 0.0, sigma }
     }
 
     /// Derivative of the logarithm of the light of a row by the amplitude; `None`: the row is of another file.
@@ -78,7 +66,7 @@ impl Term {
 
     /// Change of φ·σ from the first instant to the last.
     fn change(&self) -> f64 {
-        (self.shape.at(1.0) - self.shape.at(0.0)) * self.sigma
+        (shape(self.warm_up, 1.0) - shape(self.warm_up, 0.0)) * self.sigma
     }
 }
 
@@ -95,34 +83,31 @@ fn places(data: &Data, group: &Group) -> Vec<f64> {
 
 /// The term that the data demand most beside those that `state` has, if they demand any. `normal` is of `state`; its cells
 /// are given back.
-pub(crate) fn missing(
-    nominal: &Scene,
-    data: &Data,
-    state: &State,
-    normal: &mut Normal,
-    assemble: &dyn Fn(&State, Vec<crate::state::CellSensitivity>) -> Normal,
-) -> Option<Term> {
+pub(crate) fn missing(state: &State<'_>, normal: &mut Normal, prior: &DMatrix<f64>) -> Option<Term> {
+    let State { nominal, data, .. } = *state;
     let level = nominal.uncertainty.light_level_relative;
     let sigma = if level > 0.0 { level } else { USUAL_SIGMA };
     let mut tried = state.clone();
     let known = state.light.len();
     for (number, group) in data.groups.iter().enumerate() {
-        let has = |is: fn(&Shape) -> bool| state.light.iter().any(|term| term.group == number && is(&term.shape));
+        let has =
+            |is_warm_up| state.light.iter().any(|term| term.group == number && term.warm_up.is_some() == is_warm_up);
         // The light along a stage changes with the step.
         if group.constraint == Constraint::Stage || group.rows.len() < MIN_ROWS {
             continue;
         }
-        if !has(|shape| *shape == Shape::Linear) {
-            tried.light.push(Term::new(data, number, Shape::Linear, sigma));
+        if !has(false) {
+            tried.light.push(Term::new(data, number, None, sigma));
         }
-        if !has(|shape| matches!(shape, Shape::WarmUp(_))) {
-            tried.light.extend(WARM_UPS.map(|share| Term::new(data, number, Shape::WarmUp(share), sigma)));
+        if !has(true) {
+            tried.light.extend(WARM_UPS.map(|share| Term::new(data, number, Some(share), sigma)));
         }
     }
     if tried.light.len() == known {
         return None;
     }
-    let of_tried = assemble(&tried, std::mem::take(&mut normal.cells));
+    let cells = std::mem::take(&mut normal.cells);
+    let of_tried = Normal::assemble(&tried, cells, normal.weights.clone(), prior);
     let found = of_tried.step(0.0).zip(of_tried.covariance()).and_then(|(step, covariance)| {
         let (first, count) = (tried.first_light(), tried.light.len());
         let information = covariance.view((first, first), (count, count)).clone_owned().cholesky()?.inverse();
@@ -158,7 +143,7 @@ pub struct LightTrend {
 
 impl LightTrend {
     /// Of all files that have one; `covariance` is that of all unknowns.
-    pub(crate) fn all(data: &Data, state: &State, covariance: &DMatrix<f64>) -> Vec<Self> {
+    pub(crate) fn all(state: &State<'_>, covariance: &DMatrix<f64>) -> Vec<Self> {
         let of_group = |(number, group): (usize, &Group)| {
             let terms: Vec<(usize, &Term)> =
                 state.light.iter().enumerate().filter(|(_, term)| term.group == number).collect();
@@ -168,15 +153,11 @@ impl LightTrend {
             };
             let change: f64 = terms.iter().map(|(_, term)| term.amplitude * term.change()).sum();
             let variance: f64 = terms.iter().flat_map(|a| terms.iter().map(move |b| variance(a, b))).sum();
-            let between = terms.iter().map(|(_, term)| match term.shape {
-                Shape::WarmUp(_) => (BETWEEN * term.amplitude * term.change()).powi(2),
-                Shape::Linear => 0.0,
-            });
+            let warm_ups = || terms.iter().filter(|(_, term)| term.warm_up.is_some());
+            let between = warm_ups().map(|(_, term)| (BETWEEN * term.amplitude * term.change()).powi(2));
             let variance = variance + between.sum::<f64>();
-            let warm_up = terms.iter().find_map(|(_, term)| match term.shape {
-                Shape::WarmUp(share) if (term.amplitude * term.change()).abs() > NAMED * change.abs() => Some(share),
-                _ => None,
-            });
+            let is_named = |(_, term): &&(usize, &Term)| (term.amplitude * term.change()).abs() > NAMED * change.abs();
+            let warm_up = warm_ups().find(is_named).and_then(|(_, term)| term.warm_up);
             (!terms.is_empty()).then(|| Self {
                 file: group.file.clone(),
                 change: libm::expm1(change),
@@ -184,7 +165,7 @@ impl LightTrend {
                 warm_up,
             })
         };
-        data.groups.iter().enumerate().filter_map(of_group).collect()
+        state.data.groups.iter().enumerate().filter_map(of_group).collect()
     }
 
     pub(crate) fn remark(&self) -> String {

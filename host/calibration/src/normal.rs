@@ -7,8 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 use slitpose_model::Pose;
 
-use crate::constraint::{self, RESIDUALS, VAGUE};
-use crate::data::Data;
+use crate::data::{self, RESIDUALS, VAGUE};
 use crate::reading::{whiten, whitener};
 use crate::state::{CellSensitivity, State, Weights};
 
@@ -31,27 +30,26 @@ pub(crate) struct Normal {
     /// M of all rows side by side: six columns a row.
     pub(crate) coupling: DMatrix<f64>,
     pub(crate) cells: Vec<CellSensitivity>,
+    pub(crate) weights: Weights,
 }
 
-/// Whitened residuals and derivatives of one row, as they enter the sums.
-pub(crate) struct RowTerms {
-    /// Place among the unknowns, derivatives of one residual pair by it.
-    pub(crate) by_pose: Vec<[f64; 6]>,
-    pub(crate) residuals: Vec<f64>,
-    /// For each residual: places and derivatives.
-    pub(crate) by_unknown: Vec<Vec<(usize, f64)>>,
+/// A whitened residual of a row and its derivatives, as they enter the sums.
+pub(crate) struct Equation {
+    pub(crate) residual: f64,
+    pub(crate) by_pose: [f64; 6],
+    /// Places among the unknowns, and the derivatives by them.
+    pub(crate) by_unknown: Vec<(usize, f64)>,
 }
 
-pub(crate) fn row_terms(
-    data: &Data,
-    state: &State,
+pub(crate) fn equations(
+    state: &State<'_>,
     sensitivities: &[CellSensitivity],
     weights: &Weights,
     row: usize,
-    scale_m: f64,
-) -> RowTerms {
-    let mut terms = RowTerms { by_pose: Vec::new(), residuals: Vec::new(), by_unknown: Vec::new() };
-    let measured = &data.rows[row];
+) -> Vec<Equation> {
+    let mut equations = Vec::new();
+    let measured = &state.data.rows[row];
+    let scale_m = state.length_scale_m;
     let scale = [scale_m, scale_m, scale_m, 1.0, 1.0, 1.0];
     for (cell, sensitivity) in sensitivities.iter().enumerate() {
         let weight = weights.readings[row][cell];
@@ -72,7 +70,7 @@ pub(crate) fn row_terms(
             unknown[1].push((place, b));
         }
         for (k, term) in state.light.iter().enumerate() {
-            let Some(slope) = term.slope(data, row) else { continue };
+            let Some(slope) = term.slope(state.data, row) else { continue };
             let [a, b] = whiten(w, pair.map(|current_a| current_a * slope));
             unknown[0].push((state.first_light() + k, a));
             unknown[1].push((state.first_light() + k, b));
@@ -82,36 +80,31 @@ pub(crate) fn row_terms(
             let [a, b] = whiten(w, [jacobian[0][axis] * scale[axis], jacobian[1][axis] * scale[axis]]);
             (by_pose[0][axis], by_pose[1][axis]) = (a, b);
         }
-        for (k, of_unknown) in unknown.into_iter().enumerate() {
-            terms.by_pose.push(by_pose[k]);
-            terms.residuals.push(residual[k]);
-            terms.by_unknown.push(of_unknown);
+        for ((residual, by_pose), by_unknown) in residual.into_iter().zip(by_pose).zip(unknown) {
+            equations.push(Equation { residual, by_pose, by_unknown });
         }
     }
-    let (number, group) = state.group_of(data, row);
+    let (number, group) = state.group_of(row);
     let unknowns = &state.unknowns[number];
     let root = weights.poses[row].sqrt();
-    let sigmas = state.sigmas(data, number);
-    let residuals = constraint::residuals(group.constraint, sigmas, measured, unknowns, &state.poses[row]);
-    if !unknowns.is_empty() || state.is_known(data, row) {
-        let (by_pose, by_unknowns) =
-            constraint::derivatives(group.constraint, sigmas, measured, unknowns, &state.poses[row]);
+    let sigmas = state.sigmas(number);
+    let residuals = data::residuals(group.constraint, sigmas, measured, unknowns, &state.poses[row]);
+    if !unknowns.is_empty() || state.is_known(row) {
+        let (of_pose, of_unknowns) = data::derivatives(group.constraint, sigmas, measured, unknowns, &state.poses[row]);
         for k in 0..RESIDUALS {
-            let of_pose: [f64; 6] = std::array::from_fn(|axis| by_pose[k][axis] * scale[axis] * root);
-            let places = by_unknowns.iter().enumerate();
-            let of_unknown: Vec<_> = places
-                .map(|(u, of)| (state.first_unknown(number) + u, of[k] * root * constraint::scale(group.constraint, u)))
+            let by_pose: [f64; 6] = std::array::from_fn(|axis| of_pose[k][axis] * scale[axis] * root);
+            let places = of_unknowns.iter().enumerate();
+            let by_unknown: Vec<_> = places
+                .map(|(u, of)| (state.first_unknown(number) + u, of[k] * root * data::scale(group.constraint, u)))
                 .filter(|(_, value)| *value != 0.0)
                 .collect();
-            if of_pose != [0.0; 6] || !of_unknown.is_empty() {
-                terms.by_pose.push(of_pose);
+            if by_pose != [0.0; 6] || !by_unknown.is_empty() {
                 // r = measured − model; a constraint is met at zero.
-                terms.residuals.push(-residuals[k] * root);
-                terms.by_unknown.push(of_unknown);
+                equations.push(Equation { residual: -residuals[k] * root, by_pose, by_unknown });
             }
         }
     }
-    terms
+    equations
 }
 
 /// L of a positive definite matrix.
@@ -160,29 +153,28 @@ pub(crate) fn backward(l: &[[f64; 6]; 6], b: [f64; 6]) -> [f64; 6] {
 impl Normal {
     /// The sums over all rows, and the prior.
     pub(crate) fn assemble(
-        data: &Data,
-        state: &State,
+        state: &State<'_>,
         cells: Vec<CellSensitivity>,
-        weights: &Weights,
+        weights: Weights,
         prior: &DMatrix<f64>,
     ) -> Self {
-        let count = state.unknown_count();
+        let (count, count_of_rows) = (state.unknown_count(), state.data.rows.len());
         let parameters = state.parameters.entries.len();
         let mut matrix = DMatrix::zeros(count, count);
         let mut right = DVector::zeros(count);
-        let mut coupling = DMatrix::zeros(count, 6 * data.rows.len());
-        let mut rows = Vec::with_capacity(data.rows.len());
+        let mut coupling = DMatrix::zeros(count, 6 * count_of_rows);
+        let mut rows = Vec::with_capacity(count_of_rows);
         let mut own = DMatrix::<f64>::zeros(count, 0);
         let mut filled = 0;
-        for row in 0..data.rows.len() {
-            let terms = row_terms(data, state, &cells, weights, row, state.length_scale_m);
+        for row in 0..count_of_rows {
+            let equations = equations(state, &cells, &weights, row);
             let mut v = [[0.0; 6]; 6];
             let mut b = [0.0; 6];
-            for (of_pose, residual) in terms.by_pose.iter().zip(&terms.residuals) {
+            for Equation { residual, by_pose, .. } in &equations {
                 for i in 0..6 {
-                    b[i] += of_pose[i] * residual;
+                    b[i] += by_pose[i] * residual;
                     for j in 0..6 {
-                        v[i][j] += of_pose[i] * of_pose[j];
+                        v[i][j] += by_pose[i] * by_pose[j];
                     }
                 }
             }
@@ -190,16 +182,16 @@ impl Normal {
                 rows.push(None);
                 continue;
             };
-            let columns = terms.residuals.len();
+            let columns = equations.len();
             if own.ncols() < filled + columns {
                 own = own.resize_horizontally(filled + columns.max(24 * CHUNK), 0.0);
             }
-            for (k, of_unknown) in terms.by_unknown.iter().enumerate() {
-                for &(place, value) in of_unknown {
+            for (k, Equation { residual, by_pose, by_unknown }) in equations.iter().enumerate() {
+                for &(place, value) in by_unknown {
                     own[(place, filled + k)] = value;
-                    right[place] += value * terms.residuals[k];
+                    right[place] += value * residual;
                     for j in 0..6 {
-                        coupling[(place, 6 * row + j)] += value * terms.by_pose[k][j];
+                        coupling[(place, 6 * row + j)] += value * by_pose[j];
                     }
                 }
             }
@@ -216,7 +208,7 @@ impl Normal {
                 right.axpy(-reduced[j], &coupling.column(6 * row + j), 1.0);
             }
             rows.push(Some(RowFactor { factor, right: reduced }));
-            if filled > 20 * CHUNK || row + 1 == data.rows.len() {
+            if filled > 20 * CHUNK || row + 1 == count_of_rows {
                 let part = own.columns(0, filled);
                 matrix.gemm(1.0, &part, &part.transpose(), 1.0);
                 own.fill(0.0);
@@ -246,7 +238,7 @@ impl Normal {
             matrix[(k, k)] += 1.0;
             right[k] -= term.amplitude;
         }
-        Self { matrix, right, rows, coupling, cells }
+        Self { matrix, right, rows, coupling, cells, weights }
     }
 
     /// The step of the unknowns, damped by `damping` times the diagonal.

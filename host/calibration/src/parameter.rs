@@ -211,6 +211,7 @@ fn powers<const N: usize>(legendre: &[f64; N]) -> [f64; N] {
 const MIN_M: f64 = 1e-6;
 
 /// Deviations of one cell, gathered before they act on it.
+#[derive(Default)]
 struct Deviations {
     detector_shift: DVec3,
     detector_turn: DVec3,
@@ -227,18 +228,7 @@ struct Deviations {
 /// The cell of the scene with `values` in force. Converters span 0 to `full_scale_a`.
 pub(crate) fn cell_with(nominal: &Cell, full_scale_a: f64, values: impl IntoIterator<Item = (Quantity, f64)>) -> Cell {
     let mut cell = nominal.clone();
-    let mut by = Deviations {
-        detector_shift: DVec3::ZERO,
-        detector_turn: DVec3::ZERO,
-        slit_tilt: DVec3::ZERO,
-        emitter_tilt: [0.0; 2],
-        nonlinearity: [0.0; MAX_NONLINEARITY],
-        stray: cell.effects.stray.unwrap_or_default(),
-        stray_level: [0.0; 9],
-        stray_balance: [0.0; 9],
-        converter: [[0.0; MAX_CONVERTER]; 2],
-        electrode_gain: 0.0,
-    };
+    let mut by = Deviations { stray: cell.effects.stray.unwrap_or_default(), ..Deviations::default() };
     for (quantity, value) in values {
         let index = |k: u8| usize::from(k);
         match quantity {
@@ -319,8 +309,8 @@ impl Deviations {
         }
         cell.slit.thickness_m = cell.slit.thickness_m.min(1.9 * cell.slit.distance_m);
 
-        let across = across(cell.emitter.axis_tool);
-        let tilt = across[0] * self.emitter_tilt[0] + across[1] * self.emitter_tilt[1];
+        let (first, second) = cell.emitter.axis_tool.any_orthonormal_pair();
+        let tilt = first * self.emitter_tilt[0] + second * self.emitter_tilt[1];
         cell.emitter.axis_tool = (rotation_exp(tilt) * cell.emitter.axis_tool).normalize();
 
         let effects = &mut cell.effects;
@@ -339,11 +329,6 @@ impl Deviations {
             effects.converters = Some(Converters { full_scale_a, curves_a });
         }
     }
-}
-
-fn across(axis: DVec3) -> [DVec3; 2] {
-    let (a, b) = axis.any_orthonormal_pair();
-    [a, b]
 }
 
 #[cfg(test)]

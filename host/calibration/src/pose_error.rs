@@ -4,7 +4,7 @@
 use glam::DVec3;
 use nalgebra::{DMatrix, DMatrixView, DVector, SMatrix};
 use slitpose_head::scene_file::{SceneFile, Workspace};
-use slitpose_model::{ModelError, Pose, Scene, SceneError};
+use slitpose_model::{ModelError, Pose, SceneError};
 
 use crate::adjust::USUAL_ERROR;
 use crate::data::{Constraint, Data, Knowledge, Row};
@@ -55,8 +55,7 @@ impl PoseError {
     /// What the `covariance` of the parameters, in units of their prior σ, and a `discrepancy` do to poses of a `workspace`
     /// that are solved from single frames; and, as model errors of each cell, what the covariance does besides.
     pub(crate) fn of(
-        nominal: &Scene,
-        state: &State,
+        state: &State<'_>,
         covariance: &DMatrix<f64>,
         discrepancy: Option<&Discrepancy>,
         workspace: &Workspace,
@@ -64,7 +63,7 @@ impl PoseError {
         let count = state.parameters.entries.len();
         // With twice as many the model errors are known well enough for the weights of cells to cost no accuracy.
         let poses: Vec<Pose> = workspace.poses(2 * POSES).collect();
-        let cells = sensitivities(nominal, &state.parameters, &poses, true)?;
+        let cells = sensitivities(state.nominal, &state.parameters, &poses, true)?;
         let covariance = covariance.view((0, 0), (count, count));
         let samples: Vec<Option<Sample>> =
             poses.iter().enumerate().map(|(row, pose)| Sample::of(state, &cells, discrepancy, row, pose)).collect();
@@ -89,7 +88,7 @@ impl PoseError {
             }
         }
         let by_parameters = coefficients.columns(0, count).into_owned();
-        let rest = Self::model_errors(nominal, state, &cells, &samples, &by_parameters, &covariance);
+        let rest = Self::model_errors(state, &cells, &samples, &by_parameters, &covariance);
         let scale = |i: usize| if i % 6 < 3 { state.length_scale_m } else { 1.0 };
         let by_discrepancy = coefficients.columns(count, considered);
         let spread =
@@ -101,8 +100,7 @@ impl PoseError {
 
     /// Standard deviations of the intensity and position of each cell that no smooth error of the pose explains.
     fn model_errors(
-        nominal: &Scene,
-        state: &State,
+        state: &State<'_>,
         cells: &[CellSensitivity],
         samples: &[Option<Sample>],
         coefficients: &DMatrix<f64>,
@@ -110,7 +108,7 @@ impl PoseError {
     ) -> Vec<ModelError> {
         let count = coefficients.ncols();
         let of_cell = |(number, cell): (usize, &CellSensitivity)| {
-            let half_length_m = 0.5 * nominal.cells[number].detector.length_m;
+            let half_length_m = 0.5 * state.nominal.cells[number].detector.length_m;
             let (mut sums, mut weights) = ([0.0; 2], 0.0);
             for (row, sample) in samples.iter().enumerate() {
                 let (Some(Sample { functions, weight, .. }), Some(pair)) = (sample, cell.pairs[row]) else { continue };
@@ -202,7 +200,7 @@ impl PoseError {
 /// Errors of `poses`, root mean square, for each of `covariances` of the parameters in units of their prior σ: metres and
 /// radians, three axes together. `cells` are the sensitivities there.
 pub(crate) fn spread(
-    state: &State,
+    state: &State<'_>,
     cells: &[CellSensitivity],
     poses: &[Pose],
     covariances: &[DMatrix<f64>],
@@ -226,7 +224,7 @@ pub(crate) fn spread(
 impl Sample {
     /// `None`: too few cells see light there.
     fn of(
-        state: &State,
+        state: &State<'_>,
         cells: &[CellSensitivity],
         discrepancy: Option<&Discrepancy>,
         row: usize,
@@ -326,13 +324,10 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
         return Err(CalibrateError::NothingOpen);
     }
     let count = parameters.entries.len();
-    let state_with = |errors: Vec<ModelError>, data: &Data| {
-        State::new(nominal, parameters.clone(), data, data.rows.iter().filter_map(Row::reported).collect(), errors)
-    };
-
     let rough = uncalibrated(file)?;
     let errors = rough.cells.iter().map(|cell| cell.effects.model_error).collect();
-    let before = state_with(errors, &Data::default());
+    let no_data = Data::default();
+    let before = State::new(nominal, parameters.clone(), &no_data, Vec::new(), errors);
     let diagonal = |counts: &dyn Fn(Quantity) -> bool| {
         let value = |k: usize| if counts(parameters.entries[k].quantity) { 1.0 } else { 0.0 };
         DMatrix::from_diagonal(&DVector::from_iterator(count, (0..count).map(value)))
@@ -342,16 +337,16 @@ pub fn part_costs(file: &SceneFile, known: KnownPoses) -> Result<PartCosts, Cali
     let at: Vec<Pose> = file.workspace.poses(known.count).collect();
     let cells = sensitivities(nominal, &parameters, &at, true)?;
     let row = |(number, pose)| Row {
-        id: String::new(),
         readings: cells.iter().map(|cell| cell.pairs[number]).collect(),
         frames: known.frames,
-        time_s: None,
         knowledge: Knowledge::Reported(pose),
+        ..Row::default()
     };
     data.add("", Constraint::Known, known.instrument, at.iter().copied().enumerate().map(row).collect());
-    let after = state_with(vec![USUAL_ERROR; nominal.cells.len()], &data);
+    let errors = vec![USUAL_ERROR; nominal.cells.len()];
+    let after = State::new(nominal, parameters.clone(), &data, at, errors);
     let information = DMatrix::identity(count, count);
-    let normal = Normal::assemble(&data, &after, cells, &Weights::equal(&data), &information);
+    let normal = Normal::assemble(&after, cells, Weights::equal(&data), &information);
     // Covariance of all others if those of one kind are known.
     let without = |known: &dyn Fn(Quantity) -> bool| -> Result<DMatrix<f64>, CalibrateError> {
         let mut matrix = normal.matrix.clone();
@@ -400,7 +395,6 @@ mod tests {
     use slitpose_head::scene_file::{Tolerance, WIDE};
 
     use super::*;
-    use crate::data::Data;
     use crate::{Quantity, prior};
 
     /// All emitters off by the same way on the tool: every pose errs by that way, turned with the tool.
@@ -413,8 +407,9 @@ mod tests {
         let covariance = DMatrix::from_fn(count, count, |i, j| f64::from(u8::from(is_moved(i) && is_moved(j))));
         let sigma_m = file.tolerance.unwrap_or_default().position_m;
         let errors = vec![ModelError::default(); file.scene.cells.len()];
-        let state = State::new(&file.scene, parameters.clone(), &Data::default(), Vec::new(), errors);
-        let (found, rest) = PoseError::of(&file.scene, &state, &covariance, None, &file.workspace).expect("poses");
+        let data = Data::default();
+        let state = State::new(&file.scene, parameters.clone(), &data, Vec::new(), errors);
+        let (found, rest) = PoseError::of(&state, &covariance, None, &file.workspace).expect("poses");
         for turn in [DVec3::ZERO, DVec3::new(0.0, 0.0, 0.2)] {
             let pose = Pose::from_vectors(DVec3::new(1e-3, -2e-3, 1e-3), turn);
             let way = pose.rotation * DVec3::X * sigma_m;

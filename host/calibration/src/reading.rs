@@ -1,7 +1,8 @@
 //! Readings of a cell: their covariance, and whether a calibration still describes its head by what they say of each other.
 
 use slitpose_model::{
-    Cell, CompiledScene, ModelError, MotionPrior, Noise, Pair, Pose, Reading, Scene, SceneError, Solver, Start, Tier,
+    Cell, CompiledScene, ModelError, MotionPrior, Noise, Pair, Pose, Reading, Scene, SceneError, Solution, Solver,
+    Start, Tier,
 };
 
 use crate::data::Row;
@@ -211,6 +212,12 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
     if count >= MIN_CELLS_WITH_LEVEL {
         uncertainty.light_level_relative = 1.0;
     }
+    // An excluded cell has shown at least what its exclusion takes.
+    let add = |sums: &mut [f64; 2], solution: &Solution| {
+        let excluded = solution.excluded.count() as f64;
+        sums[0] += solution.chi2 + excluded * EXCLUDED_CHI2;
+        sums[1] += solution.redundancy as f64 + 2.0 * excluded;
+    };
     for row in rows.iter().step_by(every) {
         if solver.as_ref().is_none_or(|(frames, _)| *frames != row.frames) {
             let noise = noise.map(|noise| noise.averaged(row.frames));
@@ -229,18 +236,13 @@ pub fn validity(scene: &Scene, noise: Option<Noise>, rows: &[Row]) -> Result<Val
         };
         let Some((pose, solution)) = solve(None, Start::Cold) else { continue };
         used += 1;
-        let excluded = solution.excluded.count() as f64;
-        // An excluded cell has shown at least what its exclusion takes.
-        sums[0] += solution.chi2 + excluded * EXCLUDED_CHI2;
-        sums[1] += solution.redundancy as f64 + 2.0 * excluded;
+        add(&mut sums, &solution);
         for cell in 0..count {
             let (Some(found), Some((pose, solution))) = (row.readings[cell], solve(Some(cell), Start::Near(&pose)))
             else {
                 continue;
             };
-            let excluded = solution.excluded.count() as f64;
-            without[cell][0] += solution.chi2 + excluded * EXCLUDED_CHI2;
-            without[cell][1] += solution.redundancy as f64 + 2.0 * excluded;
+            add(&mut without[cell], &solution);
             let half_length_m = 0.5 * scene.cells[cell].detector.length_m;
             let ([relative, position], _) = deviation(solver.plan(), cell, &pose, found, half_length_m);
             let cell = &mut cells[cell];
@@ -291,8 +293,6 @@ mod tests {
     use rand_distr::{Distribution, Normal};
     use slitpose_head::scene_file::WIDE;
 
-    use crate::data::Knowledge;
-
     /// Light's shot noise divides as its light does and moves no spot; what the resistance drives out of one electrode
     /// comes in by the other, and adds nothing to the sum.
     #[test]
@@ -336,14 +336,7 @@ mod tests {
                         let glitch = if k % 50 == 3 { 1e-6 } else { 0.0 };
                         Some([1.5e-6 + swing + glitch, 1.5e-6 - swing].map(|pure| pure + scatter.sample(&mut rng)))
                     });
-                    let readings = readings.collect();
-                    Row {
-                        id: k.to_string(),
-                        readings,
-                        frames: 1.0,
-                        time_s: Some([time_s; 2]),
-                        knowledge: Knowledge::Nothing,
-                    }
+                    Row { readings: readings.collect(), time_s: Some([time_s; 2]), ..Row::default() }
                 })
                 .collect();
             let found = measured_noise(&rows, &scene, &noise).unwrap();

@@ -13,12 +13,6 @@ use crate::{CalibrateError, Calibration};
 /// Share of a group's rows that must lead to a pose for the others to follow from home.
 const MIN_WITH_POSE: f64 = 0.25;
 
-/// Poses of all rows and unknowns of all groups. Rows without a pose stay at home.
-pub(crate) struct Beginning {
-    pub(crate) poses: Vec<Pose>,
-    pub(crate) unknowns: Vec<Vec<f64>>,
-}
-
 /// The pose of each row by `scene` alone.
 pub(crate) fn solved(scene: &Scene, rows: &[Row]) -> Result<Vec<Option<Pose>>, SceneError> {
     let solver = Solver::<f64>::new(scene, TIER)?;
@@ -55,28 +49,25 @@ fn first_poses(
     Err(CalibrateError::NoPoses(name.to_owned(), found, rows.len(), basis, next_step))
 }
 
-impl Beginning {
-    /// From the data and `scene`: the head as `start` has it, or by its tolerances.
-    pub(crate) fn of(scene: &Scene, start: Option<&Calibration>, data: &Data) -> Result<Self, CalibrateError> {
-        let (mut poses, mut unknowns) = (vec![Pose::HOME; data.rows.len()], Vec::new());
-        for group in &data.groups {
-            let rows = &data.rows[group.rows.clone()];
-            let places = &mut poses[group.rows.clone()];
-            if group.constraint == Constraint::Known {
-                for (place, row) in places.iter_mut().zip(rows) {
-                    *place = row.reported().unwrap_or(Pose::HOME);
-                }
-                unknowns.push(Vec::new());
-                continue;
-            }
-            let found = first_poses(scene, start, &group.file, rows)?;
-            for (place, pose) in places.iter_mut().zip(&found) {
-                *place = pose.unwrap_or(Pose::HOME);
-            }
-            unknowns.push(of_group(group, rows, &found, places)?);
-        }
-        Ok(Self { poses, unknowns })
+/// Poses of all rows and unknowns of all groups, from the data and `scene`: the head as `start` has it, or by its tolerances.
+/// Rows without a pose stay at home.
+pub(crate) fn beginning(
+    scene: &Scene,
+    start: Option<&Calibration>,
+    data: &Data,
+) -> Result<(Vec<Pose>, Vec<Vec<f64>>), CalibrateError> {
+    let (mut poses, mut unknowns) = (Vec::with_capacity(data.rows.len()), Vec::new());
+    for group in &data.groups {
+        let rows = &data.rows[group.rows.clone()];
+        let found = match group.constraint {
+            Constraint::Known => rows.iter().map(Row::reported).collect(),
+            _ => first_poses(scene, start, &group.file, rows)?,
+        };
+        let mut places: Vec<Pose> = found.iter().map(|pose| pose.unwrap_or(Pose::HOME)).collect();
+        unknowns.push(of_group(group, rows, &found, &mut places)?);
+        poses.extend(places);
     }
+    Ok((poses, unknowns))
 }
 
 fn of_group(
@@ -85,6 +76,9 @@ fn of_group(
     found: &[Option<Pose>],
     places: &mut [Pose],
 ) -> Result<Vec<f64>, CalibrateError> {
+    if group.constraint == Constraint::Known {
+        return Ok(Vec::new());
+    }
     let weak = || CalibrateError::LittleMotion(group.file.clone());
     let solved: Vec<Pose> = found.iter().flatten().copied().collect();
     let first = *solved.first().ok_or_else(weak)?;
@@ -107,20 +101,15 @@ fn of_group(
         }
         Constraint::Rest => values_of(&first).to_vec(),
         Constraint::Stage => {
-            let (mut mean, mut step, mut count) = (DVec3::ZERO, 0.0, 0.0);
-            let moved = || {
-                found.iter().zip(rows).filter_map(|(pose, row)| match row.knowledge {
-                    Knowledge::Step(step_m) => Some(((*pose)?, step_m)),
-                    _ => None,
-                })
-            };
-            for (pose, step_m) in moved() {
-                mean += pose.translation_m;
-                step += step_m;
-                count += 1.0;
-            }
-            (mean, step) = (mean / count, step / count);
-            let direction: DVec3 = moved().map(|(pose, step_m)| (pose.translation_m - mean) * (step_m - step)).sum();
+            let moved = found.iter().zip(rows).filter_map(|(pose, row)| match row.knowledge {
+                Knowledge::Step(step_m) => Some((pose.as_ref()?.translation_m, step_m)),
+                _ => None,
+            });
+            let moved: Vec<(DVec3, f64)> = moved.collect();
+            let count = moved.len() as f64;
+            let mean = moved.iter().map(|(at, _)| at).sum::<DVec3>() / count;
+            let step = moved.iter().map(|(_, step_m)| step_m).sum::<f64>() / count;
+            let direction: DVec3 = moved.iter().map(|(at, step_m)| (at - mean) * (step_m - step)).sum();
             let direction = direction.try_normalize().ok_or_else(weak)?;
             let start = Pose { translation_m: mean - direction * step, ..first };
             [values_of(&start).as_slice(), &direction.to_array()].concat()

@@ -3,15 +3,17 @@
 use slitpose_head::threads::on_all_cores;
 use slitpose_model::{CompiledScene, ModelError, Pose, Scene, SceneError, Status};
 
-use crate::constraint;
-use crate::data::{Constraint, Data, Group, compose, inverse, pose_of};
+use crate::data::{self, Constraint, Data, Group, compose, inverse, pose_of};
 use crate::light::Term;
 use crate::prior::Parameters;
 use crate::reading::{Covariance, ReadingNoise, TIER, deviation, whiten, whitener};
 
 /// Parameters, poses and unknowns of the groups.
 #[derive(Clone, Debug)]
-pub(crate) struct State {
+pub(crate) struct State<'a> {
+    pub(crate) nominal: &'a Scene,
+    /// What it explains.
+    pub(crate) data: &'a Data,
     pub(crate) parameters: Parameters,
     /// Of each group.
     pub(crate) unknowns: Vec<Vec<f64>>,
@@ -47,11 +49,11 @@ impl Weights {
     }
 }
 
-impl State {
+impl<'a> State<'a> {
     pub(crate) fn new(
-        nominal: &Scene,
+        nominal: &'a Scene,
         parameters: Parameters,
-        data: &Data,
+        data: &'a Data,
         poses: Vec<Pose>,
         model_errors: Vec<ModelError>,
     ) -> Self {
@@ -60,8 +62,10 @@ impl State {
             groups[group.rows.clone()].fill(number);
         }
         Self {
+            nominal,
+            data,
             parameters,
-            unknowns: data.groups.iter().map(|group| vec![0.0; constraint::unknowns(group.constraint)]).collect(),
+            unknowns: data.groups.iter().map(|group| vec![0.0; data::unknowns(group.constraint)]).collect(),
             poses,
             noise: nominal.cells.iter().map(|cell| ReadingNoise::new(nominal.noise.as_ref(), cell)).collect(),
             residual_errors: vec![[0.0; 2]; model_errors.len()],
@@ -73,8 +77,8 @@ impl State {
         }
     }
 
-    pub(crate) fn scene(&self, nominal: &Scene) -> Scene {
-        let mut scene = self.parameters.scene(nominal);
+    pub(crate) fn scene(&self) -> Scene {
+        let mut scene = self.parameters.scene(self.nominal);
         for (cell, error) in scene.cells.iter_mut().zip(&self.model_errors) {
             cell.effects.model_error = *error;
         }
@@ -86,20 +90,20 @@ impl State {
     }
 
     /// The group of a row, with its number.
-    pub(crate) fn group_of<'a>(&self, data: &'a Data, row: usize) -> (usize, &'a Group) {
+    pub(crate) fn group_of(&self, row: usize) -> (usize, &'a Group) {
         let number = self.groups[row];
-        (number, &data.groups[number])
+        (number, &self.data.groups[number])
     }
 
     /// Standard deviations of lengths and angles of a group, as the data have them.
-    pub(crate) fn sigmas(&self, data: &Data, group: usize) -> [f64; 2] {
-        let Group { sigma_m, sigma_rad, .. } = data.groups[group];
+    pub(crate) fn sigmas(&self, group: usize) -> [f64; 2] {
+        let Group { sigma_m, sigma_rad, .. } = self.data.groups[group];
         [sigma_m * self.scales[group][0], sigma_rad * self.scales[group][1]]
     }
 
     /// The pose of the tool in the base that an instrument's report means.
-    pub(crate) fn expected(&self, data: &Data, row: usize, report: &Pose) -> Pose {
-        let (number, group) = self.group_of(data, row);
+    pub(crate) fn expected(&self, row: usize, report: &Pose) -> Pose {
+        let (number, group) = self.group_of(row);
         if group.constraint != Constraint::KnownInOwnFrames {
             return *report;
         }
@@ -108,8 +112,8 @@ impl State {
     }
 
     /// Whether an instrument knows the row's pose, in whatever frames.
-    pub(crate) fn is_known(&self, data: &Data, row: usize) -> bool {
-        matches!(self.group_of(data, row).1.constraint, Constraint::Known | Constraint::KnownInOwnFrames)
+    pub(crate) fn is_known(&self, row: usize) -> bool {
+        matches!(self.group_of(row).1.constraint, Constraint::Known | Constraint::KnownInOwnFrames)
     }
 
     /// Place of the first unknown of a group.
@@ -127,21 +131,21 @@ impl State {
     }
 
     /// The light of row `row` by that of the head.
-    pub(crate) fn light_of(&self, data: &Data, row: usize) -> f64 {
-        let parts = self.light.iter().filter_map(|term| Some(term.amplitude * term.slope(data, row)?));
+    pub(crate) fn light_of(&self, row: usize) -> f64 {
+        let parts = self.light.iter().filter_map(|term| Some(term.amplitude * term.slope(self.data, row)?));
         libm::exp(parts.sum::<f64>())
     }
 
     /// Moves parameters and groups by `step`, in prior σ and scales.
-    pub(crate) fn advance(&mut self, data: &Data, step: &[f64]) {
+    pub(crate) fn advance(&mut self, step: &[f64]) {
         let count = self.parameters.entries.len();
         for (entry, step) in self.parameters.entries.iter_mut().zip(step) {
             entry.value += step * entry.prior_sigma;
         }
         let mut rest = step[count..].iter();
-        for (unknowns, group) in self.unknowns.iter_mut().zip(&data.groups) {
+        for (unknowns, group) in self.unknowns.iter_mut().zip(&self.data.groups) {
             for ((k, unknown), step) in unknowns.iter_mut().enumerate().zip(&mut rest) {
-                *unknown += step * constraint::scale(group.constraint, k);
+                *unknown += step * data::scale(group.constraint, k);
             }
         }
         for (term, step) in self.light.iter_mut().zip(rest) {
@@ -241,17 +245,12 @@ pub(crate) fn sensitivities(
     on_all_cores(&numbers, of_cell).into_iter().collect()
 }
 
-/// Those of all rows of `data`, in the light that they have by `state`.
-pub(crate) fn sensitivities_of_rows(
-    nominal: &Scene,
-    data: &Data,
-    state: &State,
-    derivatives: bool,
-) -> Result<Vec<CellSensitivity>, SceneError> {
-    let mut cells = sensitivities(nominal, &state.parameters, &state.poses, derivatives)?;
+/// Those of all rows, in the light that they have by `state`.
+pub(crate) fn sensitivities_of_rows(state: &State<'_>, derivatives: bool) -> Result<Vec<CellSensitivity>, SceneError> {
+    let mut cells = sensitivities(state.nominal, &state.parameters, &state.poses, derivatives)?;
     if !state.light.is_empty() {
-        for row in 0..data.rows.len() {
-            let factor = state.light_of(data, row);
+        for row in 0..state.data.rows.len() {
+            let factor = state.light_of(row);
             cells.iter_mut().for_each(|cell| cell.brighten(row, factor));
         }
     }
@@ -276,22 +275,16 @@ pub struct Residual {
 }
 
 /// Of all readings that have light in both models.
-pub(crate) fn residuals(nominal: &Scene, data: &Data, state: &State) -> Result<Vec<Residual>, SceneError> {
-    let at_prior = Parameters {
-        entries: state
-            .parameters
-            .entries
-            .iter()
-            .map(|entry| crate::Parameter { value: entry.prior, ..*entry })
-            .collect(),
-        ..state.parameters
-    };
+pub(crate) fn residuals(state: &State<'_>) -> Result<Vec<Residual>, SceneError> {
+    let State { nominal, data, .. } = *state;
+    let mut at_prior = state.parameters.clone();
+    at_prior.entries.iter_mut().for_each(|entry| entry.value = entry.prior);
     let [before, after] =
         [&at_prior, &state.parameters].map(|of| CompiledScene::<f64>::compile(&of.scene(nominal), TIER));
     let (before, after) = (before?, after?);
     let mut found = Vec::new();
     for (number, (row, pose)) in data.rows.iter().zip(&state.poses).enumerate() {
-        let level = state.light_of(data, number);
+        let level = state.light_of(number);
         for (cell, reading) in row.readings.iter().enumerate() {
             let (Some(reading), response) = (*reading, after.respond(cell, pose)) else { continue };
             let reading = reading.map(|current_a| current_a / level);

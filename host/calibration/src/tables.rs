@@ -3,8 +3,8 @@
 use std::collections::HashSet;
 
 use slitpose_head::scene_file::SceneFile;
-use slitpose_head::table::{Column, CurrentColumns, PoseColumns, Row as TableRow, TableError, TableReader};
-use slitpose_model::{Detector, Pair};
+use slitpose_head::table::{CurrentColumns, PoseColumns, TableError, TableReader};
+use slitpose_model::{Cell, Detector, Pair};
 
 use crate::data::{Constraint, Data, Knowledge, Row};
 use crate::{CalibrateError, Implausible};
@@ -54,7 +54,17 @@ pub fn read(
         };
         // Some other table's idea of time is no fault: rows then count in their order.
         let time_s = time.and_then(|time| row.number(time).ok()).map(|time_s| [time_s; 2]);
-        let row = Row { time_s, ..row_of(file, &currents, frames, &row, row.text(id), knowledge)? };
+        let frames = match frames.map(|column| row.number(column).map(|frames| (column, frames))).transpose()? {
+            None => 1.0,
+            Some((_, frames)) if frames >= 1.0 => frames,
+            Some((column, frames)) => {
+                let allowed = "the number of frames averaged, at least 1";
+                return Err(row.out_of_range(column, frames, allowed).into());
+            }
+        };
+        let of_cell = |(number, cell): (usize, &Cell)| Ok(above_dark(&cell.detector, &currents.pair(&row, number)?));
+        let readings = file.scene.cells.iter().enumerate().map(of_cell).collect::<Result<_, TableError>>()?;
+        let row = Row { id: row.text(id).to_owned(), readings, frames, time_s, knowledge };
         if digits(&row).is_some_and(|digits| !known.insert(digits)) {
             return Err(Implausible::Repeated(table.to_owned(), rows.len() + 1).into());
         }
@@ -73,31 +83,6 @@ fn digits(row: &Row) -> Option<Vec<u64>> {
     let readings = row.readings.iter().flatten().flatten().copied();
     let numbers = pose.translation_m.to_array().into_iter().chain(pose.rotation.to_array()).chain(readings);
     Some(numbers.map(f64::to_bits).collect())
-}
-
-fn row_of(
-    file: &SceneFile,
-    currents: &CurrentColumns,
-    frames: Option<Column>,
-    row: &TableRow<'_>,
-    id: &str,
-    knowledge: Knowledge,
-) -> Result<Row, TableError> {
-    let frames = match frames {
-        None => 1.0,
-        Some(column) => match row.number(column)? {
-            frames if frames >= 1.0 => frames,
-            frames => return Err(row.out_of_range(column, frames, "the number of frames averaged, at least 1")),
-        },
-    };
-    let readings = file
-        .scene
-        .cells
-        .iter()
-        .enumerate()
-        .map(|(cell, description)| Ok(above_dark(&description.detector, &currents.pair(row, cell)?)));
-    let readings = readings.collect::<Result<_, TableError>>()?;
-    Ok(Row { id: id.to_owned(), readings, frames, time_s: None, knowledge })
 }
 
 /// The currents of a cell above dark, amperes; `None`: faint, or beyond saturation.

@@ -35,7 +35,7 @@ impl Bench {
     }
 
     /// A head of parts `times` as far off as the tolerances of `wider` say.
-    fn head(&mut self, wider: fn(Quantity) -> bool, times: f64) -> Scene {
+    fn wider_head(&mut self, wider: fn(Quantity) -> bool, times: f64) -> Scene {
         let mut names = draw(&self.file, || 0.0).expect("a head").1.into_iter();
         let rng = &mut self.rng;
         let normal = || {
@@ -43,6 +43,10 @@ impl Bench {
             rng.sample::<f64, _>(StandardNormal) * if is_wider { times } else { 1.0 }
         };
         draw(&self.file, normal).expect("a head").0
+    }
+
+    fn head(&mut self) -> Scene {
+        self.wider_head(|_| false, 1.0)
     }
 
     fn vector(&mut self, extent: DVec3) -> DVec3 {
@@ -58,7 +62,7 @@ impl Bench {
             let readings = self.readings(&plan, &pose);
             let error = [sigma_m, sigma_rad].map(|sigma| DVec3::from_array([(); 3].map(|()| sigma * self.normal())));
             let knowledge = Knowledge::Reported(pose.perturbed(error[0], error[1]));
-            Row { id: String::new(), readings, frames: 16.0, time_s: None, knowledge }
+            Row { readings, frames: 16.0, knowledge, ..Row::default() }
         };
         (0..count).map(row).collect()
     }
@@ -69,7 +73,7 @@ impl Bench {
         let row = |number: i32| {
             let moved_m = f64::from(number) * 0.2e-3;
             let readings = self.readings(&plan, &Pose::from_vectors(DVec3::X * moved_m, DVec3::splat(0.05)));
-            Row { id: String::new(), readings, frames: 16.0, time_s: None, knowledge: Knowledge::Step(scale * moved_m) }
+            Row { readings, frames: 16.0, knowledge: Knowledge::Step(scale * moved_m), ..Row::default() }
         };
         (-10..=10).map(row).collect()
     }
@@ -83,12 +87,23 @@ impl Bench {
         (0..plan.cell_count()).map(|cell| Some(read(cell))).collect()
     }
 
-    fn calibrated(&self, rows: Vec<Row>) -> Calibrated {
+    /// Noise of a single frame, as a file of measurements may state it.
+    fn noise(&self) -> Option<Noise> {
+        self.file.scene.noise.map(|noise| Noise { adc_a: NOISE_A, ..noise })
+    }
+
+    /// By rows of several kinds, of instruments as good as stated.
+    fn calibrate(&self, files: Vec<(Constraint, Vec<Row>)>) -> Result<Calibrated, CalibrateError> {
         let mut data = Data::default();
-        data.add("known.csv", Constraint::Known, STATED, rows);
-        data.noise = self.file.scene.noise.map(|noise| Noise { adc_a: NOISE_A, ..noise });
-        let request = Request { file: &self.file, data: &data, start: None, date: None };
-        calibrate(&request, &mut |_| ControlFlow::Continue(())).expect("a calibration")
+        data.noise = self.noise();
+        for (constraint, rows) in files {
+            data.add("rows.csv", constraint, STATED, rows);
+        }
+        run(&self.file, &data, None)
+    }
+
+    fn calibrated(&self, rows: Vec<Row>) -> Calibrated {
+        self.calibrate(vec![(Constraint::Known, rows)]).expect("a calibration")
     }
 
     /// `found` predicts the light of `head` to 0.1 % of its intensity and a micrometre of its place, root mean square over
@@ -120,11 +135,8 @@ impl Bench {
     }
 }
 
-fn refused(file: &SceneFile, constraint: Constraint, rows: Vec<Row>) -> CalibrateError {
-    let mut data = Data::default();
-    data.add("wrong.csv", constraint, STATED, rows);
-    let request = Request { file, data: &data, start: None, date: None };
-    calibrate(&request, &mut |_| ControlFlow::Continue(())).expect_err("refused")
+fn run(file: &SceneFile, data: &Data, start: Option<&Calibration>) -> Result<Calibrated, CalibrateError> {
+    calibrate(&Request { file, data, start, date: None }, &mut |_| ControlFlow::Continue(()))
 }
 
 /// Tables of one head, spoiled in one way each: the words of the refusal, or of a remark beside a calibration as good as
@@ -132,18 +144,22 @@ fn refused(file: &SceneFile, constraint: Constraint, rows: Vec<Row>) -> Calibrat
 #[test]
 fn outliers_units_conventions_frames_rows_and_drift_are_named_with_their_place() {
     let mut bench = Bench::new();
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let rows = bench.rows(&head, 60, STATED);
     let whole = bench.file.workspace;
     bench.file.workspace.half_extent_m *= 0.3;
     let region = bench.rows(&head, 60, STATED);
     bench.file.workspace = whole;
+    let reported = |row: usize| match rows[row].knowledge {
+        Knowledge::Reported(pose) => pose,
+        _ => unreachable!("known rows"),
+    };
     let spoiled = |spoil: &dyn Fn(usize, Pose) -> Pose| -> Vec<Row> {
-        let row = |(number, row): (usize, &Row)| {
-            let Knowledge::Reported(pose) = row.knowledge else { unreachable!("known rows") };
-            Row { knowledge: Knowledge::Reported(spoil(number, pose)), ..row.clone() }
+        let row = |number: usize| Row {
+            knowledge: Knowledge::Reported(spoil(number, reported(number))),
+            ..rows[number].clone()
         };
-        rows.iter().enumerate().map(row).collect()
+        (0..rows.len()).map(row).collect()
     };
     let scaled = |scale: f64| spoiled(&|_, pose| Pose { translation_m: pose.translation_m * scale, ..pose });
     let outliers = |places: &[usize]| {
@@ -161,13 +177,8 @@ fn outliers_units_conventions_frames_rows_and_drift_are_named_with_their_place()
             Pose::from_vectors(pose.translation_m, angles)
         })
     };
-    let fading = |share: f64| {
-        let mut rows = rows.clone();
-        for (number, row) in rows.iter_mut().enumerate() {
-            let left = 1.0 - share * number as f64 / 60.0;
-            row.readings.iter_mut().flatten().flatten().for_each(|current| *current *= left);
-        }
-        rows
+    let fading = |share: f64| -> Vec<Row> {
+        rows.iter().enumerate().map(|(number, row)| dim(row, 1.0 - share * number as f64 / 60.0)).collect()
     };
     // An instrument whose frame is elsewhere: 4 mm are 2 mm on a detector.
     let elsewhere =
@@ -175,48 +186,39 @@ fn outliers_units_conventions_frames_rows_and_drift_are_named_with_their_place()
     let axes = |t: fn(DVec3) -> DVec3, r: fn(DVec3) -> DVec3| {
         spoiled(&|_, pose| Pose::from_vectors(t(pose.translation_m), r(pose.rotation_rad())))
     };
-    let reported = |row: usize| match rows[row].knowledge {
-        Knowledge::Reported(pose) => pose,
-        _ => unreachable!("known rows"),
-    };
-    let reversed = spoiled(&|_, pose| Pose { rotation: pose.rotation.conjugate(), ..pose });
     let many: Vec<usize> = (0..60).step_by(4).collect();
-    let own = Constraint::KnownInOwnFrames;
+    let (known, own) = (Constraint::Known, Constraint::KnownInOwnFrames);
+    let quarter = |v: DVec3| DVec3::new(v.y, -v.x, v.z);
+    let mirrored = |v: DVec3| DVec3::new(-v.x, v.y, v.z);
     /// Name, constraint, rows, whether they calibrate, and words of the message.
     type Case = (&'static str, Constraint, Vec<Row>, bool, &'static [&'static str]);
     let cases: [Case; 23] = [
-        (
-            "one sentinel",
-            Constraint::Known,
-            outliers(&[7]),
-            true,
-            &["1 of 60 poses left out", "row 8, tx_mm -9999.0000"],
-        ),
+        ("one sentinel", known, outliers(&[7]), true, &["1 of 60 poses left out", "row 8, tx_mm -9999.0000"]),
         ("three sentinels", own, outliers(&[3, 23, 40]), true, &["row 4, tx_mm", "row 24, tx_mm", "row 41, tx_mm"]),
-        ("many sentinels", Constraint::Known, outliers(&many), false, &["15 of 60 poses", "row 1, tx_mm"]),
-        ("metres", Constraint::Known, scaled(1e-3), false, &["are these metres?"]),
-        ("micrometres", Constraint::Known, scaled(1e3), false, &["are these micrometres?"]),
-        ("inches", Constraint::Known, scaled(25.4_f64.recip()), false, &["are these inches?"]),
-        ("centimetres", Constraint::Known, scaled(0.1), false, &["are these centimetres?"]),
-        ("inverted", Constraint::Known, spoiled(&|_, pose| inverse(&pose)), false, &["look inverted"]),
-        ("other rows", Constraint::Known, spoiled(&|row, _| reported((row + 3) % 60)), false, &["by -3 rows"]),
+        ("many sentinels", known, outliers(&many), false, &["15 of 60 poses", "row 1, tx_mm"]),
+        ("metres", known, scaled(1e-3), false, &["are these metres?"]),
+        ("micrometres", known, scaled(1e3), false, &["are these micrometres?"]),
+        ("inches", known, scaled(25.4_f64.recip()), false, &["are these inches?"]),
+        ("centimetres", known, scaled(0.1), false, &["are these centimetres?"]),
+        ("inverted", known, spoiled(&|_, pose| inverse(&pose)), false, &["look inverted"]),
+        ("other rows", known, spoiled(&|row, _| reported((row + 3) % 60)), false, &["by -3 rows"]),
         (
             "a frame turned by 90°",
-            Constraint::Known,
-            axes(|v| DVec3::new(v.y, -v.x, v.z), |v| DVec3::new(v.y, -v.x, v.z)),
+            known,
+            axes(quarter, quarter),
             false,
             &["(−ty_mm, tx_mm, tz_mm)", "(−ry_rad, rx_rad, rz_rad)"],
         ),
         (
             "a left-handed frame",
-            Constraint::Known,
-            axes(|v| DVec3::new(-v.x, v.y, v.z), |v| DVec3::new(v.x, -v.y, -v.z)),
+            known,
+            axes(mirrored, |v| DVec3::new(v.x, -v.y, -v.z)),
             false,
             &["(−tx_mm, ty_mm, tz_mm)", "(rx_rad, −ry_rad, −rz_rad)"],
         ),
         (
             "rotations of the other sense",
-            Constraint::Known,
+            known,
             axes(|v| v, |v| -v),
             false,
             &["(tx_mm, ty_mm, tz_mm)", "(−rx_rad, −ry_rad, −rz_rad)"],
@@ -224,39 +226,35 @@ fn outliers_units_conventions_frames_rows_and_drift_are_named_with_their_place()
         (
             "the same, own frames",
             own,
-            reversed,
+            spoiled(&|_, pose| Pose { rotation: pose.rotation.conjugate(), ..pose }),
             false,
-            &["become (tx_mm, ty_mm, tz_mm), and rx_rad, ry_rad, rz_rad (−rx_rad, −ry_rad, −rz_rad)"],
+            &["(tx_mm, ty_mm, tz_mm)", "(−rx_rad, −ry_rad, −rz_rad)"],
         ),
-        ("4 mm off", Constraint::Known, elsewhere(4e-3), false, &["do not belong to this scene"]),
-        ("1 mm off", Constraint::Known, elsewhere(1e-3), true, &["farther from the scene than its [tolerance]"]),
+        ("4 mm off", known, elsewhere(4e-3), false, &["do not belong to this scene"]),
+        ("1 mm off", known, elsewhere(1e-3), true, &["farther from the scene than its [tolerance]"]),
         ("metres, own frames", own, scaled(1e-3), false, &["are these metres?"]),
         ("inches, own frames", own, scaled(25.4_f64.recip()), false, &["are these inches?"]),
-        ("Euler angles", Constraint::Known, turned(glam::EulerRot::XYZ), false, &["Euler angles about x, y, z"]),
+        ("Euler angles", known, turned(glam::EulerRot::XYZ), false, &["Euler angles about x, y, z"]),
         ("Euler angles, own frames", own, turned(glam::EulerRot::ZYX), false, &["Euler angles about z, y, x"]),
         (
             "two columns exchanged",
-            Constraint::Known,
-            spoiled(&|_, pose| Pose { translation_m: pose.translation_m.xzy(), ..pose }),
+            known,
+            axes(|v| v.xzy(), |r| r),
             false,
             &["(tx_mm, tz_mm, ty_mm)", "(rx_rad, ry_rad, rz_rad)"],
         ),
-        ("fading light", Constraint::Known, fading(0.05), true, &["the light faded by 4.9"]),
+        ("fading light", known, fading(0.05), true, &["the light faded by 4.9"]),
         (
             "a part of the workspace",
-            Constraint::Known,
+            known,
             region,
             true,
             &["only a part of the workspace (tx_mm ", "% of its volume)", " rms outside it"],
         ),
-        ("sound", Constraint::Known, rows.clone(), true, &[]),
+        ("sound", known, rows.clone(), true, &[]),
     ];
     for (case, constraint, rows, is_accepted, parts) in cases {
-        let mut data = Data::default();
-        data.add("spoiled.csv", constraint, STATED, rows);
-        data.noise = bench.file.scene.noise.map(|noise| Noise { adc_a: NOISE_A, ..noise });
-        let request = Request { file: &bench.file, data: &data, start: None, date: None };
-        let (said, held_out_m) = match calibrate(&request, &mut |_| ControlFlow::Continue(())) {
+        let (said, held_out_m) = match bench.calibrate(vec![(constraint, rows)]) {
             Ok(found) => (found.remarks.join("\n"), found.calibration.statistics.held_out_m),
             Err(error) => (error.to_string(), None),
         };
@@ -277,13 +275,12 @@ fn outliers_units_conventions_frames_rows_and_drift_are_named_with_their_place()
 fn without_an_instrument_other_units_and_missing_poses_are_told() {
     let mut bench = Bench::new();
     // A stage that counts in another unit, beside free motion: it would be left out row by row.
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     for (scale, is_right) in [(1.0, true), (1e-3, false)] {
         let mut data = Data::default();
         data.add("free.csv", Constraint::Free, STATED, bench.rows(&head, 60, STATED));
         data.add("stage.csv", Constraint::Stage, [0.5e-6, 20e-6], bench.stage(&head, scale));
-        let request = Request { file: &bench.file, data: &data, start: None, date: None };
-        match calibrate(&request, &mut |_| ControlFlow::Continue(())) {
+        match run(&bench.file, &data, None) {
             Ok(_) => assert!(is_right),
             Err(error) => assert!(!is_right && matches!(error, CalibrateError::ForeignRows { .. }), "{error}"),
         }
@@ -292,15 +289,14 @@ fn without_an_instrument_other_units_and_missing_poses_are_told() {
     // Two redundancies do not outweigh parts that are a few tenths of a millimetre off.
     bench.file.scene.cells.truncate(4);
     bench.file.lighting.slots = vec![vec![0, 2], vec![1, 3], vec![]];
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let rows = bench.rows(&head, 60, STATED);
-    let error = refused(&bench.file, Constraint::Free, rows.clone());
-    assert!(matches!(error, CalibrateError::NoPoses(_, 0..15, 60, ..)), "{error}");
-    let known = bench.calibrated(rows.clone()).calibration;
     let mut data = Data::default();
-    data.add("free.csv", Constraint::Free, STATED, rows);
-    let request = Request { file: &bench.file, data: &data, start: Some(&known), date: None };
-    assert!(calibrate(&request, &mut |_| ControlFlow::Continue(())).is_ok());
+    data.add("free.csv", Constraint::Free, STATED, rows.clone());
+    let error = run(&bench.file, &data, None).expect_err("refused");
+    assert!(matches!(error, CalibrateError::NoPoses(_, 0..15, 60, ..)), "{error}");
+    let known = bench.calibrated(rows).calibration;
+    assert!(run(&bench.file, &data, Some(&known)).is_ok());
 }
 
 /// All emitters lit at once: a fiftieth of a cell's light is that of its neighbours, and their parts deviate, too.
@@ -309,7 +305,7 @@ fn light_of_other_emitters_is_calibrated_with_theirs() {
     let text = WIDE.text.replace("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0, 1, 2, 3, 4, 5], []]");
     let mut bench = Bench { file: SceneFile::parse("all.toml", &text).expect("a scene"), ..Bench::new() };
     assert!(bench.file.scene.cells.iter().all(|cell| cell.effects.lit_together != 0));
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let rows = bench.rows(&head, 80, STATED);
     let found = bench.calibrated(rows).calibration;
     bench.assert_predicted(&found, &head);
@@ -319,20 +315,19 @@ fn light_of_other_emitters_is_calibrated_with_theirs() {
 #[test]
 fn the_redundancy_of_a_pivot_is_that_of_its_tip() {
     let mut bench = Bench::new();
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let plan = CompiledScene::<f64>::compile(&head, TIER).expect("a head");
     let (tip, turns) = (DVec3::new(0.2e-3, -0.1e-3, 1e-3), bench.file.workspace.half_extent_rad);
     let mut turned = || {
         let rotation = Pose::from_vectors(DVec3::ZERO, bench.vector(turns)).rotation;
         let readings = bench.readings(&plan, &Pose { rotation, translation_m: tip - rotation * tip });
-        Row { id: String::new(), readings, frames: 16.0, time_s: None, knowledge: Knowledge::Nothing }
+        Row { readings, frames: 16.0, ..Row::default() }
     };
-    let mut data = Data::default();
-    data.add("pivot.csv", Constraint::Pivot, STATED, (0..20).map(|_| turned()).collect());
-    data.add("known.csv", Constraint::Known, STATED, bench.rows(&head, 40, STATED));
-    data.noise = bench.file.scene.noise.map(|noise| Noise { adc_a: NOISE_A, ..noise });
-    let request = Request { file: &bench.file, data: &data, start: None, date: None };
-    let found = calibrate(&request, &mut |_| ControlFlow::Continue(())).expect("a calibration").calibration;
+    let files = vec![
+        (Constraint::Pivot, (0..20).map(|_| turned()).collect()),
+        (Constraint::Known, bench.rows(&head, 40, STATED)),
+    ];
+    let found = bench.calibrate(files).expect("a calibration").calibration;
     let statistics = found.statistics;
     let equations = 2 * statistics.readings + 20 * 3 + 40 * 6;
     assert_eq!((statistics.poses_rejected, statistics.redundancy), (0, equations as f64 - 60.0 * 6.0 - 6.0));
@@ -344,7 +339,7 @@ fn the_redundancy_of_a_pivot_is_that_of_its_tip() {
 fn heads_with_other_openings_are_calibrated() {
     for shipped in [SPACEMOUSE, MAGLEV] {
         let mut bench = Bench { file: shipped.read().expect("a scene"), ..Bench::new() };
-        let head = bench.head(|_| false, 1.0);
+        let head = bench.head();
         let rows = bench.rows(&head, 160, STATED);
         let found = bench.calibrated(rows).calibration;
         let of = |quantity| found.parameters().iter().filter(|entry| entry.quantity == quantity).count();
@@ -360,7 +355,7 @@ fn heads_with_other_openings_are_calibrated() {
 #[test]
 fn an_instrument_that_is_worse_than_stated_counts_as_it_is() {
     let mut bench = Bench::new();
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let rows = bench.rows(&head, 80, [20e-6, 200e-6]);
     let found = bench.calibrated(rows);
     println!("seed {SEED}: {:?}", found.remarks);
@@ -380,7 +375,7 @@ fn parts_with_more_texture_than_tolerances_say_are_learned() {
     let is_texture =
         |quantity| matches!(quantity, Quantity::Nonlinearity(_) | Quantity::StrayLevel(_) | Quantity::Converter(..));
     let mut bench = Bench::new();
-    let head = bench.head(is_texture, 4.0);
+    let head = bench.wider_head(is_texture, 4.0);
     let rows = bench.rows(&head, 120, STATED);
     let found = bench.calibrated(rows).calibration;
     bench.assert_predicted(&found, &head);
@@ -396,7 +391,7 @@ fn dim(row: &Row, level: f64) -> Row {
 #[test]
 fn light_that_changes_meanwhile_is_found_with_its_size() {
     let mut bench = Bench::new();
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let rows = bench.rows(&head, 60, STATED);
     let time_s = |number: usize| 1e3 + (number * number) as f64;
     let share = |number: usize| number as f64 / 59.0;
@@ -431,9 +426,9 @@ fn light_that_changes_meanwhile_is_found_with_its_size() {
 #[test]
 fn a_head_is_valid_until_a_slit_moves() {
     let mut bench = Bench::new();
-    let head = bench.head(|_| false, 1.0);
+    let head = bench.head();
     let rows = bench.rows(&head, 100, STATED);
-    let noise = bench.file.scene.noise.map(|noise| Noise { adc_a: NOISE_A, ..noise });
+    let noise = bench.noise();
     let sound = validity(&head, noise, &rows).expect("a verdict");
     println!("seed {SEED}: {:.2} of what is expected", sound.chi2);
     // Redundancy of 600 in all: 6 % by chance.

@@ -104,7 +104,7 @@ fn capture(args: &Args, head: &DrawnHead, session: &Session) -> Result<(), Comma
     let simulated = head.simulated();
     let frame_s = front_end::configuration(&simulated)?.schedule.frame_rate_hz().recip();
     let trajectory = Trajectory::through(session.path.clone());
-    let board = SimulatedBoard::with_light(0, &simulated, head.light()?.into(), trajectory, args.seed)?;
+    let board = SimulatedBoard::with_light(0, &simulated, head.light(), trajectory, args.seed)?;
     let device = SimulatedDevice::new(board, frame_s, args.duration, Speed::Max);
     let stop = interrupt()?;
     let mut progress = Progress::new("free.mcap", (args.duration * 1e3) as u64, Amount::Of("ms"));

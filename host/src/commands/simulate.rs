@@ -311,7 +311,7 @@ impl ToolOptions {
             None => SimulatedBoard::numbered(number, file, trajectory, tier, seed)?,
             Some(drawn) => {
                 let head = DrawnHead::draw(file, Within::Family, drawn.wrapping_add(number.into()))?;
-                SimulatedBoard::with_light(number, &head.simulated(), head.light()?.into(), trajectory, seed)?
+                SimulatedBoard::with_light(number, &head.simulated(), head.light(), trajectory, seed)?
             }
         };
         let board = self.trigger.into_iter().fold(board, SimulatedBoard::with_trigger);

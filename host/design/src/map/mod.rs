@@ -11,7 +11,7 @@ use std::sync::Mutex;
 
 pub use outlook::{NoiseOf, Outlook, View};
 pub use schedule::{Candidate, Schedules};
-use slitpose_calibration::{CalibrateError, Head, KnownPoses, PartCosts, part_costs, pose_of, values_of};
+use slitpose_calibration::{CalibrateError, Head, KnownPoses, PartCosts, half_extents, part_costs, pose_of, values_of};
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::threads::{lock, on_all_cores};
 use slitpose_model::{Pose, SceneError};
@@ -185,8 +185,7 @@ impl Plane {
         fineness: Fineness,
         view: impl Fn(&Pose) -> View + Sync,
     ) -> Self {
-        let all = [workspace.half_extent_m.to_array(), workspace.half_extent_rad.to_array()].concat();
-        let extents = axes.map(|axis| all[axis]);
+        let extents = axes.map(|axis| half_extents(workspace)[axis]);
         let behind: Vec<Pose> = workspace.poses(fineness.behind).collect();
         let last = fineness.side.saturating_sub(1).max(1) as f64;
         let along = |k: usize, extent: f64| extent * (2.0 * k as f64 / last - 1.0);
@@ -202,20 +201,12 @@ impl Plane {
                 view(&pose_of(&coordinates))
             };
             let view = here(&Pose::HOME);
-            let mut point = PlanePoint {
-                at,
-                view,
-                worst_m: view.sigma_m().unwrap_or(f64::INFINITY),
-                worst_rad: view.sigma_rad().unwrap_or(f64::INFINITY),
-                least_lit: view.lit,
+            let views: Vec<View> = behind.iter().map(here).chain([view]).collect();
+            let most = |of: fn(&View) -> Option<f64>| {
+                views.iter().map(|view| of(view).unwrap_or(f64::INFINITY)).fold(0.0, f64::max)
             };
-            for pose in &behind {
-                let view = here(pose);
-                point.worst_m = point.worst_m.max(view.sigma_m().unwrap_or(f64::INFINITY));
-                point.worst_rad = point.worst_rad.max(view.sigma_rad().unwrap_or(f64::INFINITY));
-                point.least_lit = point.least_lit.min(view.lit);
-            }
-            point
+            let least_lit = views.iter().map(|view| view.lit).fold(view.lit, usize::min);
+            PlanePoint { at, view, worst_m: most(View::sigma_m), worst_rad: most(View::sigma_rad), least_lit }
         });
         Self { axes, extents, side: fineness.side, points }
     }

@@ -39,7 +39,6 @@ impl NoiseOf {
 pub struct Outlook {
     head: Head,
     solver: Solver<f64>,
-    plan: CompiledScene<f64>,
     /// Largest current of an electrode.
     full_scale_a: f64,
     /// Where the noise comes from.
@@ -93,7 +92,6 @@ impl Outlook {
         };
         Ok(Self {
             solver: Solver::new(&scene, TIER)?,
-            plan: CompiledScene::compile(&scene, TIER)?,
             full_scale_a: head.file.front_end.map_or(f64::INFINITY, |front_end| front_end.full_scale_a),
             noise,
             frame_rate_hz: frame.map(|frame| frame.period_s.recip()),
@@ -103,11 +101,11 @@ impl Outlook {
 
     /// How many cells there are.
     pub fn cells(&self) -> usize {
-        self.plan.cell_count()
+        self.plan().cell_count()
     }
 
     pub(crate) fn plan(&self) -> &CompiledScene<f64> {
-        &self.plan
+        self.solver.plan()
     }
 
     /// With the tool at rest at `pose`.
@@ -166,7 +164,7 @@ impl Outlook {
             if dark == Some(cell) {
                 return Reading::Missing;
             }
-            let response = self.plan.respond(cell, pose);
+            let response = self.plan().respond(cell, pose);
             let above_dark =
                 |current_a: f64| current_a - 0.5 * self.head.file.scene.cells[cell].detector.dark_current_a;
             let [i_x1_a, i_x2_a] = [response.currents.i_x1_a, response.currents.i_x2_a].map(above_dark);

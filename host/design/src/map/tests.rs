@@ -3,7 +3,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use slitpose_head::scene_file::{MAGLEV, SPACEMOUSE, SceneFile, Shipped, WIDE};
 use slitpose_head::simulator::noisy_reading;
-use slitpose_model::{CompiledScene, MotionPrior, Photocurrents, Solver, Start, Tier};
+use slitpose_model::{MotionPrior, Photocurrents, Solver, Start, Tier};
 
 use super::*;
 use crate::report::frame_scene;
@@ -30,8 +30,8 @@ fn a_map_has_the_errors_that_solving_makes() {
     let slits = slits.map(|file| (file, POSES)).into_iter();
     for (file, poses) in slits.chain(others.map(|file| (file, POSES / 5))) {
         let (scene, _) = frame_scene(&file);
-        let (plan, solver) =
-            (CompiledScene::<f64>::compile(&scene, TIER).unwrap(), Solver::<f64>::new(&scene, TIER).unwrap());
+        let solver = Solver::<f64>::new(&scene, TIER).unwrap();
+        let plan = solver.plan();
         let (noise, workspace) = (scene.noise.expect("noise"), file.workspace);
         let outlook = Outlook::of(file.clone().into()).expect("a head");
         let mut rng = ChaCha8Rng::seed_from_u64(SEED);

@@ -157,6 +157,7 @@ impl FromStr for Free {
 /// The text of `file` with `values` set, in their units.
 pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Result<String, DesignError> {
     let error = |message: &str| DesignError::Text(file.origin.clone(), format!(": {message}"));
+    let no_tables = || error("its cells are no [[cell]] tables");
     let mut document: DocumentMut =
         file.source.parse().map_err(|found: toml_edit::TomlError| error(found.message()))?;
     let mut cells: Vec<Cell> = file.scene.cells.iter().cloned().collect();
@@ -202,9 +203,7 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
                     is_moved = true;
                     cells = ring(&cells[0], count);
                     document.remove("lighting");
-                    let tables = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
-                    let tables = tables.ok_or_else(|| error("its cells are no [[cell]] tables"))?;
-                    like_the_first(tables, count);
+                    like_the_first(cell_tables(&mut document).ok_or_else(no_tables)?, count);
                 }
             }
             _ => {
@@ -218,8 +217,7 @@ pub(super) fn with_values(file: &SceneFile, values: &[(Quantity, f64)]) -> Resul
         }
     }
     if is_moved {
-        let tables = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
-        let tables = tables.ok_or_else(|| error("its cells are no [[cell]] tables"))?;
+        let tables = cell_tables(&mut document).ok_or_else(no_tables)?;
         let firsts = cells.iter_mut().enumerate().zip(tables.iter_mut()).filter(|(cell, _)| !is_second(cell));
         for ((_, cell), table) in firsts {
             let (detector, emitter) = (&cell.detector, &cell.emitter);
@@ -326,6 +324,10 @@ fn ring(first: &Cell, count: usize) -> Vec<Cell> {
     (0..count).map(turned).collect()
 }
 
+fn cell_tables(document: &mut DocumentMut) -> Option<&mut ArrayOfTables> {
+    document.get_mut("cell").and_then(Item::as_array_of_tables_mut)
+}
+
 /// Makes `count` tables of `tables`, all like the first.
 fn like_the_first(tables: &mut ArrayOfTables, count: usize) {
     let first: Table = tables.get(0).cloned().unwrap_or_default();
@@ -340,11 +342,9 @@ fn like_the_first(tables: &mut ArrayOfTables, count: usize) {
 
 /// Sets a key for all cells, also where a cell has its own.
 fn set(document: &mut DocumentMut, section: &str, key: &str, number: f64) {
-    if let Some(tables) = document.get_mut("cell").and_then(Item::as_array_of_tables_mut) {
-        for table in tables.iter_mut() {
-            if let Some(own) = table.get_mut(section).and_then(Item::as_table_like_mut) {
-                own.remove(key);
-            }
+    for table in cell_tables(document).into_iter().flat_map(ArrayOfTables::iter_mut) {
+        if let Some(own) = table.get_mut(section).and_then(Item::as_table_like_mut) {
+            own.remove(key);
         }
     }
     // Without the remark on the value before.
@@ -372,8 +372,7 @@ fn rename(document: &mut DocumentMut, file: &SceneFile) {
     if let Some(full_scale) = document.get_mut("front_end").and_then(|item| item.get_mut("full_scale_a")) {
         full_scale.as_value_mut().into_iter().for_each(|value| value.decor_mut().set_suffix(""));
     }
-    let cells = document.get_mut("cell").and_then(Item::as_array_of_tables_mut);
-    if let Some(first) = cells.and_then(|cells| cells.get_mut(0)) {
+    if let Some(first) = cell_tables(document).and_then(|cells| cells.get_mut(0)) {
         first.decor_mut().set_prefix("\n");
     }
 }

@@ -1,7 +1,7 @@
 //! How good a candidate is.
 
 use glam::{DVec2, DVec3};
-use slitpose_calibration::{pose_of, values_of};
+use slitpose_calibration::{half_extents, pose_of, values_of};
 use slitpose_head::front_end::configuration;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_model::{Cell, CompiledScene, Opening, Pose, SceneError, Status, Tier};
@@ -160,8 +160,7 @@ impl Judge {
 
     /// Uphill within the workspace, one coordinate at a time.
     fn climb(&self, outlook: &Outlook, (mut sigma, pose): (f64, Pose)) -> (f64, Pose) {
-        let Workspace { half_extent_m, half_extent_rad } = self.workspace;
-        let extents = [half_extent_m.to_array(), half_extent_rad.to_array()].concat();
+        let extents = half_extents(&self.workspace);
         let mut axes = values_of(&pose);
         let mut step = CLIMB_STEP;
         for _ in 0..CLIMB_ROUNDS {

@@ -22,8 +22,17 @@ fn score(file: &SceneFile, limits: Limits) -> Score {
     Judge::new(&file.workspace, GOAL, limits).score(file).expect("a score")
 }
 
-fn free(texts: &[&str]) -> Vec<Free> {
-    texts.iter().map(|text| text.parse().expect("a quantity")).collect()
+fn search(file: SceneFile, free: &[&str], goal: Goal) -> Search {
+    let free = free.iter().map(|text| text.parse().expect("a quantity")).collect();
+    Search { file, free, goal, limits: Limits::default(), seed: 1 }
+}
+
+fn run(search: &Search) -> Result<Found, DesignError> {
+    search.run(&mut |_, _| (), &AtomicBool::new(false))
+}
+
+fn map(file: SceneFile, samples: usize) -> Map {
+    Map::of(file.into(), Fineness { samples, side: 0, behind: 0 }, || ()).expect("a map")
 }
 
 /// Holes have a diameter, and both axes of a detector move with the first.
@@ -48,14 +57,7 @@ fn heads_with_other_openings_change_where_their_drawings_have_it() {
         let error = with_values(&file, &[(quantity, value)]).expect_err("refused").to_string();
         assert!(error.contains(part), "{error}");
     }
-    let search = Search {
-        file: MAGLEV.read().expect("a scene"),
-        free: free(&["cells"]),
-        goal: GOAL,
-        limits: Limits::default(),
-        seed: 1,
-    };
-    let refused = search.run(&mut |_, _| (), &AtomicBool::new(false)).expect_err("refused").to_string();
+    let refused = run(&search(file, &["cells"], GOAL)).expect_err("refused").to_string();
     assert!(refused.contains("two axes"), "{refused}");
     let mixed = WIDE.text.replacen("[[cell]]", "[[cell]]\nslit = { diameter_mm = 0.7 }", 1);
     let mixed = SceneFile::parse("mixed.toml", &mixed).expect("a scene");
@@ -162,14 +164,8 @@ fn limits_are_told_by_how_much_they_are_passed() {
 /// A search of two dimensions, twice; what is found is what is printed, and a search that begins there stays.
 #[test]
 fn a_search_finds_better_heads_and_the_same_for_a_seed() {
-    let search = Search {
-        file: wide(),
-        free: free(&["slit_width=0.3..1.2", "full_scale=5..20"]),
-        goal: GOAL,
-        limits: Limits::default(),
-        seed: 1,
-    };
-    let run = |search: &Search| search.run(&mut |_, _| (), &AtomicBool::new(false)).expect("a head");
+    let search = search(wide(), &["slit_width=0.3..1.2", "full_scale=5..20"], GOAL);
+    let run = |search: &Search| run(search).expect("a head");
     let found = run(&search);
     println!("{:?}, {:.3} µm of {:.3} µm", found.values, found.after.sigma_m * 1e6, found.before.sigma_m * 1e6);
     assert!(found.after.excesses.is_empty(), "{:?}", found.after.excesses);
@@ -202,24 +198,18 @@ fn the_worst_pose_is_that_of_all_the_workspace() {
     let four = four.replace("slots = [[0, 2, 4], [1, 3, 5], []]", "slots = [[0], [1], [2], [3], []]");
     let file = SceneFile::parse("four.toml", &four).expect("a scene");
     let goal = Goal { demand: Demand::Worst, lever_m: 0.0 };
-    let search = Search { file, free: free(&["roll=0..90"]), goal, limits: Limits::default(), seed: 1 };
-    let found = search.run(&mut |_, _| (), &AtomicBool::new(false)).expect("a head");
+    let found = run(&search(file, &["roll=0..90"], goal)).expect("a head");
     println!("{:?}, {:.1} µm of {:.1} µm", found.values, found.after.sigma_m * 1e6, found.before.sigma_m * 1e6);
     let anew = Judge::new(&found.file.workspace, goal, Limits::default()).score(&found.file).expect("a score");
     assert!(anew.sigma_m <= found.after.sigma_m && found.after.sigma_m <= found.before.sigma_m, "{anew:?}");
     // Ten times as many poses as are looked at: the worst lies between them.
-    let map = Map::of(found.file.into(), Fineness { samples: 40_000, side: 0, behind: 0 }, || ()).expect("a map");
-    let [worst_m] = map.quantiles([1.0], View::sigma_m);
+    let worst_m = map(found.file, 40_000).quantile(1.0, View::sigma_m);
     assert!(worst_m <= found.after.sigma_m, "{worst_m}");
 }
 
 #[test]
 fn fine_is_a_third_more_accurate_than_wide() {
-    let map = |file: SceneFile| {
-        let fineness = Fineness { samples: 4000, side: 0, behind: 0 };
-        Map::of(file.into(), fineness, || ()).expect("a map")
-    };
-    let [wide, fine] = [wide(), FINE.read().expect("a scene")].map(map);
+    let [wide, fine] = [wide(), FINE.read().expect("a scene")].map(|file| map(file, 4000));
     for of in [View::sigma_m, View::sigma_rad] {
         for share in [0.5, 1.0] {
             let ratio = wide.quantile(share, of) / fine.quantile(share, of);
@@ -231,15 +221,14 @@ fn fine_is_a_third_more_accurate_than_wide() {
 
 #[test]
 fn redundant_keeps_its_accuracy_whichever_cell_is_dark() {
-    let fineness = Fineness { samples: 500, side: 0, behind: 0 };
-    let map = Map::of(REDUNDANT.read().expect("a scene").into(), fineness, || ()).expect("a map");
-    let (usual, (_, worst)) = (map.quantile(0.5, View::sigma_m), map.worst_dark(View::sigma_m).expect("cells"));
+    let redundant = map(REDUNDANT.read().expect("a scene"), 500);
+    let usual = redundant.quantile(0.5, View::sigma_m);
+    let (_, worst) = redundant.worst_dark(View::sigma_m).expect("cells");
     assert!(worst < 1.2 * usual, "{worst} of {usual}");
-    assert!(map.one_dark.iter().flatten().all(|view| view.sigma.is_some()));
+    assert!(redundant.one_dark.iter().flatten().all(|view| view.sigma.is_some()));
     // Six cells without one have a third less to go by, and next to nothing to check it with.
-    let six = Map::of(wide().into(), fineness, || ()).expect("a map");
     let unnoticed = |map: &Map| map.quantile(0.5, |view| Some(view.unnoticed_sigmas));
-    assert!(unnoticed(&map) < 0.5 * unnoticed(&six));
+    assert!(unnoticed(&redundant) < 0.5 * unnoticed(&map(wide(), 500)));
 }
 
 #[test]

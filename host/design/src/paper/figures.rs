@@ -6,10 +6,9 @@ use slitpose_head::scene_file::SceneFile;
 use slitpose_model::{Cell, CompiledScene, Pair, Profile, Response, SceneError, Stray, Tier, Window};
 
 use super::{Experiment, Point, Study, TOLERANCE, experiments};
-use crate::identification::Identified;
 use crate::plot::CurveStyle::{Joined, Line, Markers, Rings};
 use crate::plot::{Axis, Chart, Curve, curve};
-use crate::report::{Picture, Report, Section, Sheet, Table, Value, column, program, scene};
+use crate::report::{Picture, Report, Section, Sheet, Table, Value, program, scene};
 
 const POSITION: &str = "emitter position along $x_{PSD}$ / mm";
 const NO_MEASUREMENT: &str = "Calculated points only: the paper's measured ones were published without numbers.";
@@ -19,14 +18,12 @@ fn figures(study: &Study, cell: &Cell) -> [Picture; 4] {
     let x_a = |response: &Response<f64>| response.x_a_m.map(|x_a_m| x_a_m * 1e3);
     let micro = |current_a: f64| Some(current_a * 1e6);
     let over = |value: &dyn Fn(&Point) -> Option<f64>| points(&study.translation, value);
-    let refit = || study.translation.iter().zip(&study.with_identified);
     let given = |gamma_deg: f64| match &cell.emitter.profile {
         Profile::Cosine { exponent } => Some(gamma_deg.to_radians().cos().max(0.0).powf(*exponent)),
         Profile::Table(_) => None,
     };
-    let identified = || study.rotation.iter().zip(&study.identified).map(|(point, it)| (point.amount, it));
-    let relative =
-        |(angle, found): (f64, &Identified)| Some([angle, 100.0 * (found.relative_intensity / given(angle)? - 1.0)]);
+    let turned = |value: &dyn Fn(&Point) -> Option<f64>| points(&study.rotation, value);
+    let found = |point: &Point| Some(point.identified?.relative_intensity);
     let exact_a = over(&|point| micro(point.exact.i_o_a));
     [
         Figure {
@@ -74,16 +71,14 @@ fn figures(study: &Study, cell: &Cell) -> [Picture; 4] {
                     "equation (5) with the profile identified by equation (6)",
                     2,
                     Line,
-                    refit().map(|(point, refit)| [point.amount, refit.i_o_a * 1e6]).collect(),
+                    over(&|point| micro(point.refit?.i_o_a)),
                 ),
                 curve("simulated (exact tier)", 1, Rings, exact_a),
             ],
             is_from_zero: true,
             unit: "%",
             what: "calculated, relative to simulated",
-            difference: refit()
-                .map(|(point, refit)| [point.amount, 100.0 * (refit.i_o_a / point.exact.i_o_a - 1.0)])
-                .collect(),
+            difference: over(&|point| Some(100.0 * (point.refit?.i_o_a / point.exact.i_o_a - 1.0))),
         }
         .draw("figure_17"),
         Figure {
@@ -92,23 +87,13 @@ fn figures(study: &Study, cell: &Cell) -> [Picture; 4] {
             x: "emitter angle / °",
             y: "$I_{rel}$",
             curves: [
-                curve(
-                    "the scene's profile, half intensity at 55°",
-                    0,
-                    Line,
-                    points(&study.rotation, |point| given(point.amount)),
-                ),
-                curve(
-                    "identified from simulated currents (exact tier)",
-                    1,
-                    Rings,
-                    identified().map(|(angle, found)| [angle, found.relative_intensity]).collect(),
-                ),
+                curve("the scene's profile, half intensity at 55°", 0, Line, turned(&|point| given(point.amount))),
+                curve("identified from simulated currents (exact tier)", 1, Rings, turned(&found)),
             ],
             is_from_zero: true,
             unit: "%",
             what: "identified, relative to the scene's",
-            difference: identified().filter_map(relative).collect(),
+            difference: turned(&|point| Some(100.0 * (found(point)? / given(point.amount)? - 1.0))),
         }
         .draw("identified_profile"),
     ]
@@ -308,15 +293,15 @@ fn section(errors: &[Vec<[f64; 2]>]) -> Section {
             name: "published_errors",
             caption: "Errors of X_A on benches with imperfect parts".to_owned(),
             columns: vec![
-                column("parts", "parts"),
-                column("stray_percent", "stray / % of I_O at the centre"),
-                column("emitter_nearer_mm", "emitter nearer / mm"),
-                column("emitter_aside_mm", "emitter aside / mm"),
-                column("mean_mm", "mean / mm"),
-                column("max_mm", "largest / mm"),
-                column("min_mm", "least / mm"),
-                column("inner_mean_mm", "mean within ±4 mm / mm"),
-                column("misfit_um", "difference, rms / µm"),
+                ("parts", "parts"),
+                ("stray_percent", "stray / % of I_O at the centre"),
+                ("emitter_nearer_mm", "emitter nearer / mm"),
+                ("emitter_aside_mm", "emitter aside / mm"),
+                ("mean_mm", "mean / mm"),
+                ("max_mm", "largest / mm"),
+                ("min_mm", "least / mm"),
+                ("inner_mean_mm", "mean within ±4 mm / mm"),
+                ("misfit_um", "difference, rms / µm"),
             ],
             rows: [published].into_iter().chain(BENCHES.iter().zip(errors).map(row)).collect(),
         }],

@@ -55,6 +55,11 @@ struct Point {
     amount: f64,
     paper: Response<f64>,
     exact: Response<f64>,
+    /// Of experiment 2, the profile by equation (6) from the exact tier's currents: the paper's procedure, on simulated
+    /// instead of measured currents.
+    identified: Option<Identified>,
+    /// Of experiment 1, what is calculated as printed, with that profile instead of the emitter's.
+    refit: Option<Response<f64>>,
 }
 
 /// Both experiments, and what follows from the second for the first.
@@ -62,11 +67,6 @@ struct Point {
 pub struct Study {
     translation: Vec<Point>,
     rotation: Vec<Point>,
-    /// The profile by equation (6) from the exact tier's currents of experiment 2, one entry for
-    /// each of its angles: the paper's procedure, on simulated instead of measured currents.
-    identified: Vec<Identified>,
-    /// Experiment 1 calculated as printed, with that profile instead of the emitter's.
-    with_identified: Vec<Response<f64>>,
 }
 
 impl Study {
@@ -78,33 +78,32 @@ impl Study {
         let run = |experiment: Experiment| -> Vec<Point> {
             let point = |amount| {
                 let pose = experiment.pose(amount);
-                Point { amount, paper: paper.respond(0, &pose), exact: exact.respond(0, &pose) }
+                let [paper, exact] = [&paper, &exact].map(|plan| plan.respond(0, &pose));
+                Point { amount, paper, exact, identified: None, refit: None }
             };
             experiment.amounts().map(point).collect()
         };
-        let (translation, rotation) = (run(Experiment::Translation), run(Experiment::Rotation));
-        let from_current = |point: &Point| {
+        let (mut translation, mut rotation) = (run(Experiment::Translation), run(Experiment::Rotation));
+        for point in &mut rotation {
             let pose = Experiment::Rotation.pose(point.amount);
-            identify(&scene.cells[0], &paper, 0, &pose, point.exact.i_o_a)
-        };
-        let identified: Vec<_> = rotation.iter().filter_map(from_current).collect();
-
+            point.identified = identify(&scene.cells[0], &paper, 0, &pose, point.exact.i_o_a);
+        }
+        let identified: Vec<_> = rotation.iter().filter_map(|point| point.identified).collect();
         let mut refit = scene.clone();
         refit.cells[0].emitter.profile = Profile::Table(mean_of_both_sides(&identified));
         let refit = CompiledScene::<f64>::compile(&refit, Tier::Paper)?;
-        let with_identified =
-            Experiment::Translation.amounts().map(|amount| refit.respond(0, &Experiment::Translation.pose(amount)));
-        Ok(Self { translation, rotation, identified, with_identified: with_identified.collect() })
+        for point in &mut translation {
+            point.refit = Some(refit.respond(0, &Experiment::Translation.pose(point.amount)));
+        }
+        Ok(Self { translation, rotation })
     }
 }
 
 /// All points of both experiments, in both tiers; the profile stands with experiment 2, its currents with experiment 1.
 pub fn experiments(study: &Study) -> Table {
-    type Row<'a> = (usize, &'a Point, Option<&'a Identified>, Option<&'a Response<f64>>);
-    let translation = study.translation.iter().zip(&study.with_identified);
-    let rotation = study.rotation.iter().enumerate().map(|(k, point)| (2, point, study.identified.get(k), None));
-    let rows: Vec<Row<'_>> = translation.map(|(point, refit)| (1, point, None, Some(refit))).chain(rotation).collect();
-    let amount = |row: &Row<'_>, of: usize| Value::from(if row.0 == of { row.1.amount } else { 0.0 });
+    let translation = study.translation.iter().map(|point| (1, point));
+    let rows: Vec<(usize, &Point)> = translation.chain(study.rotation.iter().map(|point| (2, point))).collect();
+    let amount = |row: &(usize, &Point), of: usize| Value::from(if row.0 == of { row.1.amount } else { 0.0 });
     let mm = |value: Option<f64>| Value::optional(value.map(|value_m| value_m * 1e3));
     Table::of(
         "experiments",
@@ -122,8 +121,10 @@ pub fn experiments(study: &Study) -> Table {
             ("exact_solid_angle_sr", "exact", &|row| row.1.exact.solid_angle_sr.into()),
             ("paper_i_o_a", "I_O / A", &|row| row.1.paper.i_o_a.into()),
             ("exact_i_o_a", "exact", &|row| row.1.exact.i_o_a.into()),
-            ("identified_relative_intensity", "I_rel", &|row| Value::optional(row.2.map(|it| it.relative_intensity))),
-            ("identified_i_o_a", "I_O / A", &|row| Value::optional(row.3.map(|refit| refit.i_o_a))),
+            ("identified_relative_intensity", "I_rel", &|row| {
+                Value::optional(row.1.identified.map(|it| it.relative_intensity))
+            }),
+            ("identified_i_o_a", "I_O / A", &|row| Value::optional(row.1.refit.map(|refit| refit.i_o_a))),
         ],
     )
 }
@@ -164,14 +165,14 @@ mod tests {
     fn the_identified_profile_is_that_of_the_emitter() {
         let study = Study::of(&BENCH.read().unwrap()).unwrap();
         let exponent = -std::f64::consts::LN_2 / 55f64.to_radians().cos().ln();
-        for point in &study.identified {
+        for point in study.rotation.iter().filter_map(|point| point.identified) {
             let cosine = point.gamma_rad.cos().powf(exponent);
             // One γ for the whole beam leaves less than a thousandth (equation 5's assumption).
             let error = (point.relative_intensity - cosine).abs();
             assert!(error < 1e-3 && error > 1e-6, "γ = {}: {error}", point.gamma_rad.to_degrees());
         }
-        for (point, refit) in study.translation.iter().zip(&study.with_identified) {
-            assert!((refit.i_o_a / point.exact.i_o_a - 1.0).abs() < 2e-3, "{}", point.amount);
+        for point in &study.translation {
+            assert!((point.refit.unwrap().i_o_a / point.exact.i_o_a - 1.0).abs() < 2e-3, "{}", point.amount);
         }
     }
 }

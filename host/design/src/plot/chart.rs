@@ -2,12 +2,13 @@
 
 use glam::{DVec2, dvec2};
 
-use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
-use super::style::{Colour, FAINT, INK, PALE, SOFT_INK, cell_colour, decades, quantity, ticks};
+use super::canvas::{
+    Anchor, Canvas, Colour, FAINT, INK, PALE, SOFT_INK, Stroke, TextStyle, cell_colour, decades, quantity, ticks,
+};
 
 const LABEL: TextStyle = TextStyle::new(13.0);
+/// Of numbers and notes.
 const TICK: TextStyle = TextStyle::new(12.0).coloured(SOFT_INK);
-const NOTE: TextStyle = TextStyle::new(12.0);
 const MARKER_RADIUS: f64 = 3.2;
 
 /// A curve with markers is thinner than one without: the markers are the measured points.
@@ -132,11 +133,8 @@ pub(crate) struct Note {
     pub(crate) at: [f64; 2],
     /// From the point to the word's base line, pixels, y down.
     pub(crate) offset: DVec2,
-    /// Which end of the word stands there.
-    pub(crate) anchor: Anchor,
-    /// The word; formulas between `$`.
+    /// The word, which begins there; formulas between `$`.
     pub(crate) text: String,
-    pub(crate) colour: Colour,
 }
 
 /// Curves over a pair of axes.
@@ -169,8 +167,7 @@ impl Chart {
             draw_curve(canvas, curve, &shown.map(|point| place(*point)).collect::<Vec<_>>());
         }
         for note in &self.notes {
-            let style = NOTE.coloured(note.colour).anchored(note.anchor);
-            canvas.text(place(note.at) + note.offset, &note.text, style);
+            canvas.text(place(note.at) + note.offset, &note.text, TICK);
         }
         self.draw_legend(canvas, top_left - dvec2(0.0, heading));
     }

@@ -3,10 +3,9 @@
 use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Cell, CompiledScene, Opening, Pose, Response};
 
-use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
+use super::canvas::{ALERT, Anchor, Canvas, INK, MASK, PALE, SOFT_INK, Stroke, TextStyle, cell_colour, quantity};
 use super::scene::{condition, pose_text};
 use super::shape::MaskFrame;
-use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, cell_colour, quantity};
 
 const WIDTH: f64 = 900.0;
 /// Room at either side: for d_A and d_B, and for names.

@@ -2,9 +2,8 @@
 
 use glam::{DVec2, dvec2};
 
-use super::canvas::{Canvas, Stroke, TextStyle};
+use super::canvas::{ALERT, BANDS, Canvas, Colour, INK, SOFT_INK, Stroke, TextStyle, WHITE, three_digits};
 use super::chart::{Axis, Chart, Scale};
-use super::style::{ALERT, BANDS, Colour, INK, SOFT_INK, WHITE, three_digits};
 
 const LEFT: f64 = 80.0;
 const TOP: f64 = 96.0;

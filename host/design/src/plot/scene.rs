@@ -3,9 +3,11 @@
 use glam::{DVec2, DVec3, dvec2};
 use slitpose_model::{Cell, CompiledScene, Pose, Response, Scene, Status};
 
-use super::canvas::{Anchor, Canvas, Stroke, TextStyle};
+use super::canvas::{
+    ALERT, Anchor, Canvas, INK, MASK, PALE, SOFT_INK, Stroke, TOOL, TextStyle, WHITE, cell_colour, quantity,
+    round_step, ticks,
+};
 use super::shape::{CellShape, FRONT, SIDE, TOP, View, bounds, hull};
-use super::style::{ALERT, INK, MASK, PALE, SOFT_INK, TOOL, WHITE, cell_colour, quantity, round_step, ticks};
 
 const MARGIN: f64 = 28.0;
 const COLUMN: f64 = 560.0;

@@ -4,7 +4,7 @@ use slitpose_calibration::{Calibrated, Calibration, Residual};
 use slitpose_head::scene_file::SceneFile;
 use slitpose_model::Pose;
 
-use super::section::{Report, Section, Sheet, Table, column, program, scene};
+use super::section::{Report, Section, Sheet, Table, program, scene};
 use crate::plot::{Axis, Chart, CurveStyle, curve};
 use crate::survey::AXES;
 
@@ -194,7 +194,7 @@ fn observability(calibration: &Calibration) -> Section {
         tables: vec![Table {
             name: "weak_directions",
             caption: "The weakest directions, and the parameters with the largest shares, in units of their tolerances".to_owned(),
-            columns: vec![column("number", "no."), column("sigma_ratio", "σ after by before"), column("shares", "shares")],
+            columns: vec![("number", "no."), ("sigma_ratio", "σ after by before"), ("shares", "shares")],
             rows: directions.iter().take(5).enumerate().map(row).collect(),
         }],
     }

@@ -175,37 +175,32 @@ fn tabulate(profile: &mut Profile) {
     *profile = Profile::Table(knots.collect());
 }
 
-struct Bench {
-    plan: CompiledScene<f64>,
-    solver: Solver<f64>,
-    readings: Vec<Photocurrents>,
-    priors: Vec<Pose>,
-}
-
 fn measure(head: &Head, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
     let variants = variants(head);
-    let compile = |variant: &Variant| CompiledScene::<f64>::compile(&variant.scene, variant.tier);
-    let plans = variants.iter().map(compile).collect::<Result<Vec<_>, _>>()?;
-    let lit = head.poses.iter().filter(|pose| plans.iter().all(|plan| is_lit(plan, pose)));
-    let poses: &Vec<Pose> = &lit.take(settings.timed_poses()).copied().collect();
-    let bench = |(variant, plan): (&Variant, CompiledScene<f64>)| -> Result<Bench, SceneError> {
-        // The same draws for every variant.
-        let mut noise = NoiseSource::seeded(settings.seed);
-        let at_once = vec![0.0; plan.cell_count()];
-        let exposures_s = variant.exposures_s.as_ref().unwrap_or(&at_once);
-        let solver = Solver::new(&variant.scene, variant.tier)?.with_exposures(exposures_s);
-        let reading = |pose: &Pose| {
-            let exposed = |cell: usize| variant.motion.twist.advance(pose, exposures_s[cell]);
-            Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, &exposed(cell))))
-        };
-        let readings = poses.iter().map(|pose| noise.disturb(&variant.scene, &plan, pose, &reading(pose))).collect();
-        let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
-        Ok(Bench { plan, solver, readings, priors })
+    let compile = |variant: &Variant| {
+        let solver = Solver::<f64>::new(&variant.scene, variant.tier)?;
+        Ok(variant.exposures_s.iter().fold(solver, |solver, exposures_s| solver.with_exposures(exposures_s)))
     };
-    let benches = variants.iter().zip(plans).map(bench).collect::<Result<Vec<_>, _>>()?;
+    let solvers = variants.iter().map(compile).collect::<Result<Vec<_>, SceneError>>()?;
+    let lit = head.poses.iter().filter(|pose| solvers.iter().all(|solver| is_lit(solver.plan(), pose)));
+    let poses: &Vec<Pose> = &lit.take(settings.timed_poses()).copied().collect();
+    let frames = |(variant, solver): (&Variant, &Solver<f64>)| -> (Vec<Photocurrents>, Vec<Pose>) {
+        // The same draws for every variant.
+        let plan = solver.plan();
+        let mut noise = NoiseSource::of(&variant.scene, plan, settings.seed);
+        let exposed = |cell: usize, pose: &Pose| {
+            let after_s = variant.exposures_s.as_ref().map_or(0.0, |exposures_s| exposures_s[cell]);
+            plan.photocurrents(cell, &variant.motion.twist.advance(pose, after_s))
+        };
+        let reading = |pose: &Pose| Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| exposed(cell, pose)));
+        let readings = poses.iter().map(|pose| noise.disturb(pose, &reading(pose))).collect();
+        (readings, poses.iter().map(|pose| noise.near(pose, PRIOR)).collect())
+    };
+    let frames: Vec<_> = variants.iter().zip(&solvers).map(frames).collect();
     let reference = all_currents(&CompiledScene::compile(&head.scene, REFERENCE)?, &head.poses);
     let (mut candidates, mut found): (Vec<Candidate<'_>>, Vec<_>) = (Vec::new(), Vec::new());
-    for (variant, Bench { plan, solver, readings, priors }) in variants.iter().zip(&benches) {
+    for ((variant, solver), (readings, priors)) in variants.iter().zip(&solvers).zip(&frames) {
+        let plan = solver.plan();
         let solves = move || {
             let both = readings.iter().zip(priors);
             both.map(|(readings, prior)| solver.solve(black_box(readings), Start::Near(prior), &variant.motion))

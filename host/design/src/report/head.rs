@@ -138,41 +138,34 @@ pub(super) fn is_lit(plan: &CompiledScene<f64>, pose: &Pose) -> bool {
 }
 
 /// Draws the noise and the calibration errors of a scene.
-pub(super) struct NoiseSource(ChaCha8Rng);
+pub(super) struct NoiseSource<'a> {
+    rng: ChaCha8Rng,
+    scene: &'a Scene,
+    /// The light.
+    plan: &'a CompiledScene<f64>,
+}
 
-impl NoiseSource {
-    pub(super) fn seeded(seed: u64) -> Self {
-        Self(ChaCha8Rng::seed_from_u64(seed))
+impl<'a> NoiseSource<'a> {
+    pub(super) fn of(scene: &'a Scene, plan: &'a CompiledScene<f64>, seed: u64) -> Self {
+        Self { rng: ChaCha8Rng::seed_from_u64(seed), scene, plan }
     }
 
     fn normal(&mut self) -> f64 {
-        StandardNormal.sample(&mut self.0)
+        StandardNormal.sample(&mut self.rng)
     }
 
-    /// The `clean` light of `plan` at `pose` as `scene` would measure it. Gains and places of parts err anew each
-    /// time, as the covariance of a single solve has it.
-    pub(super) fn disturb(
-        &mut self,
-        scene: &Scene,
-        plan: &CompiledScene<f64>,
-        pose: &Pose,
-        clean: &Photocurrents,
-    ) -> Photocurrents {
-        let cells = clean.cells.iter().zip(&scene.cells).enumerate().map(|(index, (reading, cell))| match reading {
-            Reading::Light(pair) => Reading::Light(self.pair(scene, plan, (index, cell), pose, *pair)),
+    /// The `clean` light at `pose` as the scene would measure it. Gains and places of parts err anew each time, as the
+    /// covariance of a single solve has it.
+    pub(super) fn disturb(&mut self, pose: &Pose, clean: &Photocurrents) -> Photocurrents {
+        let readings = clean.cells.iter().enumerate().map(|(number, reading)| match reading {
+            Reading::Light(pair) => Reading::Light(self.pair(number, pose, *pair)),
             other => *other,
         });
-        Photocurrents { cells: cells.collect() }
+        Photocurrents { cells: readings.collect() }
     }
 
-    fn pair(
-        &mut self,
-        scene: &Scene,
-        plan: &CompiledScene<f64>,
-        (number, cell): (usize, &Cell),
-        pose: &Pose,
-        mut pair: Pair<f64>,
-    ) -> Pair<f64> {
+    fn pair(&mut self, number: usize, pose: &Pose, mut pair: Pair<f64>) -> Pair<f64> {
+        let (scene, plan) = (self.scene, self.plan);
         let Uncertainty { emitter_gain_relative, electrode_gain_relative, position_m, .. } = scene.uncertainty;
         let off_m = DVec3::from_array([0; 3].map(|_| position_m * self.normal()));
         if position_m != 0.0 {
@@ -186,7 +179,7 @@ impl NoiseSource {
         let mut own = || electrode_gain_relative * self.normal();
         pair = Pair { i_x1_a: pair.i_x1_a * (1.0 + common + own()), i_x2_a: pair.i_x2_a * (1.0 + common + own()) };
         match &scene.noise {
-            Some(noise) => noisy_reading(pair, &cell.detector, noise, || self.normal()),
+            Some(noise) => noisy_reading(pair, &scene.cells[number].detector, noise, || self.normal()),
             None => pair,
         }
     }
@@ -307,11 +300,11 @@ mod tests {
         scene.uncertainty.position_m = 20e-6;
         let plan = CompiledScene::compile(&scene, Tier::Paper).unwrap();
         let solver = Solver::<f64>::new(&scene, Tier::Paper).unwrap();
-        let mut source = NoiseSource::seeded(SEED);
+        let mut source = NoiseSource::of(&scene, &plan, SEED);
         let mut sum = 0.0;
         for _ in 0..POSES {
             let pose = source.near(&Pose::HOME, [1e-3, 0.05]);
-            let readings = source.disturb(&scene, &plan, &pose, &currents(&plan, &pose));
+            let readings = source.disturb(&pose, &currents(&plan, &pose));
             let estimate = solver.solve(&readings, Start::Cold, &MotionPrior::AT_REST).estimate.unwrap();
             sum += estimate.nees(&pose).unwrap();
         }

@@ -6,14 +6,12 @@
 //!
 //! * `head` supplies poses, currents and their noise; `solver` the ways to solve;
 //! * `solver`, `economy` and `stiff` are the sections;
-//! * `calibration` is the report on a calibration, `map` that on accuracy over the workspace,
-//!   `heads` those on several heads;
+//! * `calibration` is the report on a calibration, `map` those on accuracy over the workspace;
 //! * `section` has their parts; `write` makes files of them.
 
 mod calibration;
 mod economy;
 mod head;
-mod heads;
 mod map;
 mod section;
 mod solver;
@@ -28,9 +26,8 @@ use crate::DesignError;
 
 pub use calibration::calibration_report;
 pub(crate) use head::{currents, frame_scene};
-pub use heads::comparison;
-pub use map::map_report;
-pub(crate) use section::{Picture, Section, Sheet, Value, column, program, scene};
+pub use map::{comparison, map_report};
+pub(crate) use section::{Picture, Section, Sheet, Value, program, scene};
 pub use section::{Report, Table};
 pub use write::Folder;
 

@@ -80,25 +80,13 @@ impl From<usize> for Value {
     }
 }
 
-/// A column: its name in CSV, with the unit, and its heading on a page.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Column {
-    /// Such as `least_us`.
-    pub(crate) name: &'static str,
-    /// Such as `time / µs`.
-    pub(crate) heading: &'static str,
-}
-
-pub(crate) const fn column(name: &'static str, heading: &'static str) -> Column {
-    Column { name, heading }
-}
-
 /// A table.
 #[derive(Clone, Debug)]
 pub struct Table {
     pub(crate) name: &'static str,
     pub(crate) caption: String,
-    pub(crate) columns: Vec<Column>,
+    /// Names in CSV, with the unit, such as `least_us`, and headings on a page, such as `time / µs`.
+    pub(crate) columns: Vec<(&'static str, &'static str)>,
     /// Its rows, one value for each column.
     pub(crate) rows: Vec<Vec<Value>>,
 }
@@ -112,7 +100,7 @@ impl Table {
         Self {
             name,
             caption: caption.into(),
-            columns: columns.iter().map(|(name, heading, _)| column(name, heading)).collect(),
+            columns: columns.iter().map(|(name, heading, _)| (*name, *heading)).collect(),
             rows: rows.iter().map(|row| columns.iter().map(|(.., value)| value(row)).collect()).collect(),
         }
     }
@@ -124,7 +112,7 @@ impl Table {
 
     /// In columns, for people.
     pub fn as_text(&self) -> String {
-        let heading: Vec<String> = self.columns.iter().map(|column| column.heading.to_owned()).collect();
+        let heading: Vec<String> = self.columns.iter().map(|(_, heading)| (*heading).to_owned()).collect();
         let shown = |row: &Vec<Value>| row.iter().map(Value::shown).collect::<Vec<_>>();
         let lines: Vec<Vec<String>> = [heading].into_iter().chain(self.rows.iter().map(shown)).collect();
         aligned(&lines, |column| self.is_number(column)).map(|line| format!("  {line}\n")).collect()

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use glam::dvec2;
-use slitpose_model::{MotionPrior, Photocurrents, Pose, Scene, SceneError, Solution, Solver, Start, Tier};
+use slitpose_model::{MotionPrior, Photocurrents, Pose, SceneError, Solution, Solver, Start, Tier};
 
 use super::Settings;
 use super::head::{
@@ -11,9 +11,34 @@ use super::head::{
 };
 use super::section::{Picture, Section, Sheet, Table, Value};
 use crate::DesignError;
-use crate::plot::{Anchor, Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, curve};
+use crate::plot::{Axis, Chart, Curve, CurveStyle, Note, SOFT_INK, curve};
 
 pub(super) const TITLE: &str = "Solver: error against time";
+
+/// How far a solve goes: to the pose on the planes, at most so many steps, or to the end.
+const EFFORTS: [&str; 6] = ["planes", "1 step", "2 steps", "3 steps", "4 steps", "full"];
+const PLANES: usize = 0;
+const FULL: usize = 5;
+
+struct Method {
+    tier: Tier,
+    solver: Solver<f64>,
+    /// From a pose near the truth, as from the frame before; else from nothing.
+    is_warm: bool,
+    /// Place in [`EFFORTS`].
+    effort: usize,
+}
+
+impl Method {
+    fn solve(&self, readings: &Photocurrents, prior: &Pose) -> Solution {
+        let start = match (self.effort, self.is_warm) {
+            (PLANES, _) => Start::PlanesOnly,
+            (_, false) => Start::Cold,
+            (_, true) => Start::Near(prior),
+        };
+        self.solver.solve(readings, start, &MotionPrior::AT_REST)
+    }
+}
 
 struct Entry {
     method: Method,
@@ -76,7 +101,7 @@ pub(super) fn section(head: &Head, settings: &Settings) -> Result<Section, Desig
 }
 
 fn summary(entries: &[Entry], bound: [f64; 2]) -> Vec<String> {
-    let full = |is_warm| chosen(entries, STREAM, is_warm).find(|entry| entry.method.effort.0 == FULL);
+    let full = |is_warm| chosen(entries, STREAM, is_warm).find(|entry| entry.method.effort == FULL);
     let (Some(cold), Some(warm)) = (full(false), full(true)) else { return Vec::new() };
     let micro = |value: f64| Value::micro(value).shown();
     vec![
@@ -102,40 +127,50 @@ fn chosen(entries: &[Entry], tier: Tier, is_warm: bool) -> impl Iterator<Item = 
     entries.iter().filter(move |Entry { method, .. }| (method.tier, method.is_warm) == (tier, is_warm))
 }
 
-fn methods(head: &Head) -> Vec<Method> {
+fn methods(head: &Head) -> Result<Vec<Method>, SceneError> {
+    let mut methods = Vec::new();
     // What the tolerance costs and gives: once more at a tight one.
-    let tiers = [STREAM, Tier::Paper, head.truth_tier];
-    let ways = tiers.into_iter().flat_map(|tier| [false, true].map(|is_warm| (tier, is_warm)));
-    let all = ways.flat_map(|(tier, is_warm)| EFFORTS.map(|effort| Method { tier, is_warm, effort }));
-    // From a pose nearby the planes are skipped.
-    all.filter(|it| it.effort.0 != PLANES || (!it.is_warm && it.tier != head.truth_tier)).collect()
+    for tier in [STREAM, Tier::Paper, head.truth_tier] {
+        for (is_warm, effort) in
+            [false, true].into_iter().flat_map(|is_warm| (PLANES..=FULL).map(move |k| (is_warm, k)))
+        {
+            // From a pose nearby the planes are skipped.
+            if effort == PLANES && (is_warm || tier == head.truth_tier) {
+                continue;
+            }
+            let solver = Solver::new(&head.scene, tier)?;
+            let solver = if effort == PLANES || effort == FULL { solver } else { solver.with_max_steps(effort) };
+            methods.push(Method { tier, solver, is_warm, effort });
+        }
+    }
+    Ok(methods)
 }
 
 fn measure(head: &Head, settings: &Settings) -> Result<Vec<Entry>, DesignError> {
-    let mut noise = NoiseSource::seeded(settings.seed);
-    let mut noisy = |pose: &Pose| noise.disturb(&head.scene, &head.truth, pose, &currents(&head.truth, pose));
-    let readings: Vec<Photocurrents> = head.poses.iter().map(&mut noisy).collect();
-    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
-    let methods = methods(head);
-    let solves = methods.iter().map(|method| method.compile(&head.scene)).collect::<Result<Vec<_>, _>>()?;
-    let timed = settings.timed_poses();
-    let mut candidates: Vec<Candidate<'_>> = Vec::new();
-    let mut errors = Vec::new();
+    let mut noise = NoiseSource::of(&head.scene, &head.truth, settings.seed);
     let silent: Vec<Photocurrents> = head.poses.iter().map(|pose| currents(&head.truth, pose)).collect();
-    for solve in &solves {
-        errors.push([&readings, &silent].map(|readings| {
-            let solved = readings.iter().zip(&priors).map(|(readings, prior)| solve(readings, prior));
-            Errors::of(solved.zip(&head.poses))
-        }));
-        candidates.push(Box::new(|| {
-            for (readings, prior) in readings[..timed].iter().zip(&priors) {
-                black_box(solve(black_box(readings), prior));
+    let noisy = silent.iter().zip(&head.poses);
+    let noisy: Vec<_> = noisy.map(|(clean, pose)| noise.disturb(pose, clean)).collect();
+    let priors: Vec<Pose> = head.poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
+    let methods = methods(head)?;
+    let timed = settings.timed_poses();
+    let candidate = |method| -> Candidate<'_> {
+        let (readings, priors) = (&noisy[..timed], &priors);
+        Box::new(move || {
+            for (readings, prior) in readings.iter().zip(priors) {
+                black_box(Method::solve(method, black_box(readings), prior));
             }
-        }));
-    }
-    let run_times = race(&mut candidates, settings.rounds(), timed);
-    let entries = methods.into_iter().zip(errors).zip(run_times);
-    Ok(entries.map(|((method, [noisy, clean]), run_time)| Entry { method, noisy, clean, run_time }).collect())
+        })
+    };
+    let run_times = race(&mut methods.iter().map(candidate).collect::<Vec<_>>(), settings.rounds(), timed);
+    let entry = |(method, run_time): (Method, RunTime)| {
+        let [noisy, clean] = [&noisy, &silent].map(|readings| {
+            let solved = readings.iter().zip(&priors).map(|(readings, prior)| method.solve(readings, prior));
+            Errors::of(solved.zip(&head.poses))
+        });
+        Entry { method, noisy, clean, run_time }
+    };
+    Ok(methods.into_iter().zip(run_times).map(entry).collect())
 }
 
 fn table(entries: &[Entry], bound: [f64; 2]) -> Table {
@@ -146,8 +181,8 @@ fn table(entries: &[Entry], bound: [f64; 2]) -> Table {
         entries,
         &[
             ("tier", "tier", &|entry| tier_name(entry.method.tier).into()),
-            ("start", "start", &|entry| entry.method.start().into()),
-            ("effort", "effort", &|entry| entry.method.effort.0.into()),
+            ("start", "start", &|entry| if entry.method.is_warm { "warm" } else { "cold" }.into()),
+            ("effort", "effort", &|entry| EFFORTS[entry.method.effort].into()),
             ("solved_percent", "solved / %", &|entry| (100.0 * entry.noisy.solved).into()),
             ("rms_um", "rms / µm", &|entry| Value::micro(entry.noisy.rms[0])),
             ("rms_urad", "rms / µrad", &|entry| Value::micro(entry.noisy.rms[1])),
@@ -183,7 +218,7 @@ fn picture(entries: &[Entry], head: &Head, bound: [f64; 2], half: usize, name: &
         {
             // A full solve goes its own way: it is no further step.
             for (label, style, is_full) in [(name, CurveStyle::Joined, false), ("", CurveStyle::Markers, true)] {
-                let shown = chosen(entries, tier, is_warm).filter(|it| (it.method.effort.0 == FULL) == is_full);
+                let shown = chosen(entries, tier, is_warm).filter(|it| (it.method.effort == FULL) == is_full);
                 curves.push(curve(label, colour, style, shown.map(point).collect()));
             }
         }
@@ -193,7 +228,7 @@ fn picture(entries: &[Entry], head: &Head, bound: [f64; 2], half: usize, name: &
         let times = chart.x.range;
         if let Some(floor) = floor {
             let (at, text) = ([times[0], floor], "Cramér–Rao bound of one frame".to_owned());
-            chart.notes.push(Note { at, offset: dvec2(8.0, 16.0), anchor: Anchor::Start, text, colour: SOFT_INK });
+            chart.notes.push(Note { at, offset: dvec2(8.0, 16.0), text });
             let points = times.map(|x| [x, floor]).to_vec();
             chart.curves.push(Curve { label: String::new(), colour: SOFT_INK, style: CurveStyle::Dashed, points });
         }
@@ -211,48 +246,4 @@ fn picture(entries: &[Entry], head: &Head, bound: [f64; 2], half: usize, name: &
         ],
     }
     .draw(name, caption)
-}
-
-/// How far a solve goes: to the pose on the planes, at most so many steps, or to the end.
-const EFFORTS: [(&str, Option<usize>); 6] = [
-    (PLANES, None),
-    ("1 step", Some(1)),
-    ("2 steps", Some(2)),
-    ("3 steps", Some(3)),
-    ("4 steps", Some(4)),
-    (FULL, None),
-];
-const PLANES: &str = "planes";
-const FULL: &str = "full";
-
-#[derive(Clone, Copy, Debug)]
-struct Method {
-    tier: Tier,
-    /// From a pose near the truth, as from the frame before; else from nothing.
-    is_warm: bool,
-    /// One of [`EFFORTS`], and its steps.
-    effort: (&'static str, Option<usize>),
-}
-
-impl Method {
-    /// For the cells of `scene`, all exposed at one instant: photocurrents and a pose to start from in, a solution out.
-    fn compile(&self, scene: &Scene) -> Result<impl Fn(&Photocurrents, &Pose) -> Solution + use<>, SceneError> {
-        let mut solver = Solver::<f64>::new(scene, self.tier)?;
-        if let Some(steps) = self.effort.1 {
-            solver = solver.with_max_steps(steps);
-        }
-        let Self { is_warm, effort, .. } = *self;
-        Ok(move |readings: &Photocurrents, prior: &Pose| {
-            let start = match (effort.0, is_warm) {
-                (PLANES, _) => Start::PlanesOnly,
-                (_, false) => Start::Cold,
-                (_, true) => Start::Near(prior),
-            };
-            solver.solve(readings, start, &MotionPrior::AT_REST)
-        })
-    }
-
-    fn start(&self) -> &'static str {
-        if self.is_warm { "warm" } else { "cold" }
-    }
 }

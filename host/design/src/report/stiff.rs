@@ -331,7 +331,7 @@ impl Trial {
     /// Noise-free currents of `scene` at poses around `centre`, `spread` times the usual distance away.
     fn within(scene: Scene, centre: &Pose, spread: f64, seed: u64) -> Result<Self, SceneError> {
         let solver = Solver::new(&scene, TIGHTEST)?;
-        let mut noise = NoiseSource::seeded(seed);
+        let mut noise = NoiseSource::of(&scene, solver.plan(), seed);
         let poses: Vec<Pose> = (0..POSES).map(|_| noise.near(centre, NEAR_HOME.map(|sigma| spread * sigma))).collect();
         let readings = poses.iter().map(|pose| currents(solver.plan(), pose)).collect();
         let priors = poses.iter().map(|pose| noise.near(pose, PRIOR)).collect();
@@ -408,20 +408,19 @@ mod tests {
 
     #[test]
     fn verdicts_follow_from_what_is_expected_and_from_the_time() {
-        let case = |expected, word, error: Option<f64>, attainable| Case {
+        let none = |expected, word| Case {
             study: "",
             case: String::new(),
             condition: None,
             quantity: "",
             expected,
             outcomes: BTreeMap::from([(word, 1)]),
-            without_value: usize::from(error.is_none()),
-            error,
-            attainable: Some(attainable),
+            without_value: 1,
+            error: None,
+            attainable: Some(1e-17),
             slowest_s: None,
         };
-        let value = |expected, error| case(expected, "converged", Some(error), 1e-17);
-        let none = |expected, word| case(expected, word, None, 1.0);
+        let value = |expected, error| Case { without_value: 0, error: Some(error), ..none(expected, "converged") };
         for (case, good) in [
             (value(Expected::Value, 1e-15), true),
             (value(Expected::Value, 1e-14), false),

@@ -1,14 +1,20 @@
-//! The head over a sample of the workspace: statistics of each cell's light, what its integrals take for a solver, and light
+//! The head at home: each cell, how far the tool moves from there, and what it shows before it is calibrated. The head over a
+//! sample of the workspace: statistics of each cell's light, what its integrals take for a solver, and light
 //! from other emitters: those that are lit with its own, and those of the slot before, whose light the front end has not
 //! forgotten; and how the slots fill the frame.
 
+use std::f64::consts::PI;
+
 use serde::Serialize;
-use slitpose_calibration::pose_of;
+use slitpose_calibration::{pose_of, uncalibrated};
 use slitpose_head::scene_file::{SceneFile, Workspace};
 use slitpose_head::threads::on_all_cores;
-use slitpose_model::{CompiledScene, Pose, Response, SceneError, Status, Tier};
+use slitpose_model::{
+    Cell, CompiledScene, MotionPrior, Pose, Response, Scene, SceneError, Solver, Start, Status, Tier,
+};
 
-use super::serialize_pose;
+use super::{SOLVING_TOLERANCE, serialize_pose};
+use crate::report::currents;
 
 /// Poses of a piece: bounds memory.
 const POSES: usize = 1024;
@@ -34,14 +40,120 @@ pub(super) fn over<R: Send>(
 /// The six axes of motion from home, in the order (t, θ).
 pub(crate) const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 
-/// The pose after a pure motion from home along one of [`AXES`], in metres or radians.
-///
-/// # Panics
-/// If `axis` is not below 6.
-pub(crate) fn axis_motion(axis: usize, amount: f64) -> Pose {
-    let mut motion = [0.0; 6];
-    motion[axis] = amount;
-    pose_of(&motion)
+/// Geometry and light of a cell at home.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct CellAtHome {
+    pub cell: usize,
+    /// Geometry of the spot.
+    pub status: &'static str,
+    pub flags: String,
+    /// d_A: height of the emitter above the detector.
+    pub emitter_distance_m: f64,
+    /// d_B: height of the slit above the detector.
+    pub slit_distance_m: f64,
+    /// Position of the light; `None` without spot.
+    pub x_a_m: Option<f64>,
+    /// Angle between the emitter's axis and the beam; `None` without spot.
+    pub gamma_rad: Option<f64>,
+    pub solid_angle_sr: f64,
+    pub i_o_a: f64,
+}
+
+pub(super) fn at_home(scene: &Scene, plan: &CompiledScene<f64>) -> Vec<CellAtHome> {
+    let describe = |(number, cell): (usize, &Cell)| {
+        let response = plan.respond(number, &Pose::HOME);
+        let above_detector = cell.emitter.position_tool_m - cell.detector.centre_base_m;
+        CellAtHome {
+            cell: number,
+            status: response.status.as_str(),
+            flags: response.flags.to_string(),
+            emitter_distance_m: above_detector.dot(cell.detector.normal_base),
+            slit_distance_m: cell.slit.distance_m,
+            x_a_m: response.x_a_m,
+            gamma_rad: response.gamma_rad,
+            solid_angle_sr: response.solid_angle_sr,
+            i_o_a: response.i_o_a,
+        }
+    };
+    scene.cells.iter().enumerate().map(describe).collect()
+}
+
+/// Steps of the search outward from home: finer than any gap between two lit regions.
+const STEP_M: f64 = 0.1e-3;
+const STEP_RAD: f64 = 0.5 * PI / 180.0;
+
+/// Where the search gives up: no head of this kind is as large.
+const FARTHEST_M: f64 = 0.1;
+const FARTHEST_RAD: f64 = PI;
+
+/// Halvings of a step: to a millionth of it.
+const BISECTIONS: usize = 20;
+
+/// Pure motion from home along one axis.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Travel {
+    /// `tx` … `rz`.
+    pub axis: &'static str,
+    pub negative: End,
+    pub positive: End,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct End {
+    /// Signed motion from home, metres or radians; zero if a cell is not usable even at home.
+    pub at: f64,
+    /// The first cell that is no longer usable; `None` if the search ended before.
+    pub cell: Option<usize>,
+    /// What that cell becomes: a status other than `lit`, or `faint`.
+    pub becomes: Option<&'static str>,
+}
+
+pub(super) fn along_axes(plan: &CompiledScene<f64>) -> Vec<Travel> {
+    let travel =
+        |(number, axis)| Travel { axis, negative: farthest(plan, number, -1.0), positive: farthest(plan, number, 1.0) };
+    AXES.into_iter().enumerate().map(travel).collect()
+}
+
+fn farthest(plan: &CompiledScene<f64>, axis: usize, sign: f64) -> End {
+    let (step, limit) = if axis < 3 { (STEP_M, FARTHEST_M) } else { (STEP_RAD, FARTHEST_RAD) };
+    let failure = |amount: f64| {
+        let motion: [f64; 6] = std::array::from_fn(|k| if k == axis { sign * amount } else { 0.0 });
+        first_unusable(plan, &pose_of(&motion))
+    };
+    let steps = (limit / step).round() as usize;
+    let Some(first_bad) = (0..=steps).find(|index| failure(*index as f64 * step).is_some()) else {
+        return End { at: sign * limit, cell: None, becomes: None };
+    };
+    let (mut good, mut bad) = ((first_bad as f64 - 1.0).max(0.0) * step, first_bad as f64 * step);
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (good + bad);
+        if failure(middle).is_some() { bad = middle } else { good = middle }
+    }
+    let (cell, becomes) = failure(bad).unzip();
+    End { at: sign * good, cell, becomes }
+}
+
+fn first_unusable(plan: &CompiledScene<f64>, pose: &Pose) -> Option<(usize, &'static str)> {
+    (0..plan.cell_count()).find_map(|cell| {
+        let response = plan.respond(cell, pose);
+        match response.status {
+            Status::Lit if response.flags.faint => Some((cell, "faint")),
+            Status::Lit => None,
+            status => Some((cell, status.as_str())),
+        }
+    })
+}
+
+/// Poses of the workspace that are tried.
+const TRIED: usize = 16;
+
+/// Share of poses of the workspace whose currents, by `plan`, lead to a pose by the head's tolerances, which are the default
+/// ones where the scene states none.
+pub(super) fn told(file: &SceneFile, plan: &CompiledScene<f64>) -> Result<f64, SceneError> {
+    let solver = Solver::<f64>::new(&uncalibrated(file)?, Tier::Exact { tolerance: SOLVING_TOLERANCE })?;
+    let is_told =
+        |pose: &Pose| solver.solve(&currents(plan, pose), Start::Cold, &MotionPrior::AT_REST).estimate.is_some();
+    Ok(file.workspace.poses(TRIED).filter(is_told).count() as f64 / TRIED as f64)
 }
 
 /// The workspace as the cells see it. Shares are of the sampled poses, 0 to 1.
@@ -143,9 +255,6 @@ impl Coverage {
     }
 }
 
-/// What `solve`, `run`, `replay` and `simulate` ask for unless told otherwise.
-const TOLERANCE: f64 = 1e-6;
-
 /// Poses evaluated: the dearest of them is not far from the dearest of all.
 const MAX_SAMPLES: usize = 200;
 
@@ -168,24 +277,24 @@ pub(super) fn poses_of(samples: usize) -> usize {
 
 /// The costs of all cells over some of `samples` poses of the workspace.
 pub(super) fn of_cells(
-    file: &SceneFile,
+    plan: &CompiledScene<f64>,
+    workspace: &Workspace,
     samples: usize,
     progress: impl FnMut(usize),
-) -> Result<Vec<CellCost>, SceneError> {
-    let tolerance = TOLERANCE;
-    let plan = CompiledScene::<f64>::compile(&file.scene, Tier::Exact { tolerance })?;
+) -> Vec<CellCost> {
+    let tolerance = SOLVING_TOLERANCE;
     let cost = |cell| CellCost { cell, tolerance, most_evaluations: 0, relative_error: tolerance };
     let mut costs: Vec<_> = (0..plan.cell_count()).map(cost).collect();
     let integrate =
         |pose: &Pose| (0..plan.cell_count()).map(|cell| plan.respond(cell, pose).integration).collect::<Vec<_>>();
-    over(file.workspace.poses(poses_of(samples)), progress, integrate, |_, integrations| {
+    over(workspace.poses(poses_of(samples)), progress, integrate, |_, integrations| {
         for (cost, integration) in costs.iter_mut().zip(integrations) {
             let Some(integration) = integration else { continue };
             cost.most_evaluations = cost.most_evaluations.max(integration.evaluations);
             cost.relative_error = cost.relative_error.max(integration.relative_error);
         }
     });
-    Ok(costs)
+    costs
 }
 
 /// Cross-talk below this share stays under what gains are known to (1e-3).

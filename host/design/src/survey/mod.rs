@@ -4,21 +4,20 @@
 //! axes, and derives warnings. All numbers are SI and are serialised as they stand.
 
 mod coverage;
-mod home;
-mod report;
 mod warning;
 
-use std::fmt;
+use std::fmt::{self, Write};
 
 use serde::{Serialize, Serializer};
 use slitpose_model::{CompiledScene, Pose, SceneError, Solver, Tier};
 
 use slitpose_head::finding::Finding;
+use slitpose_head::foreign::printable;
 use slitpose_head::scene_file::{SceneFile, Workspace};
 
 use crate::map::{NoiseOf, Outlook};
-pub(crate) use coverage::{AXES, CellCost, Coverage, SlotCrosstalk, Timing, share_of_others};
-pub(crate) use home::{CellAtHome, End, Travel};
+pub(crate) use coverage::{AXES, share_of_others};
+use coverage::{CellAtHome, CellCost, Coverage, End, SlotCrosstalk, Timing, Travel};
 
 /// Relative error of the integrals. A designer's decision turns on percents.
 const TOLERANCE: f64 = 1e-4;
@@ -35,7 +34,8 @@ pub struct Survey {
     pub origin: String,
     /// Hash of the scene file, 16 hexadecimal digits.
     pub hash: String,
-    pub(crate) workspace: WorkspaceFacts,
+    #[serde(serialize_with = "serialize_workspace")]
+    pub(crate) workspace: Workspace,
     pub(crate) home: Vec<CellAtHome>,
     /// Which noise that is by which a pose is told.
     #[serde(skip)]
@@ -64,13 +64,6 @@ pub struct Survey {
     pub warnings: Vec<Finding>,
 }
 
-/// A workspace with its units in the names.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub(crate) struct WorkspaceFacts {
-    pub half_extent_m: [f64; 3],
-    pub half_extent_rad: [f64; 3],
-}
-
 impl Survey {
     /// Surveys a scene, with `samples` poses spread over its workspace. `progress` gets how many more poses
     /// were evaluated, [`Self::poses_of`] in all.
@@ -85,18 +78,18 @@ impl Survey {
             name: file.name.clone(),
             origin: file.origin.clone(),
             hash: format!("{:016x}", file.hash),
-            workspace: file.workspace.into(),
-            home: home::at_home(&file.scene, &plan),
+            workspace: file.workspace,
+            home: coverage::at_home(&file.scene, &plan),
             noise: outlook.noise,
             sigma_at_home: outlook.at(&Pose::HOME).sigma,
             coverage: Coverage::of(&plan, &file.workspace, samples, full_scale_a, &mut progress),
-            travel: home::along_axes(&plan),
-            cost: coverage::of_cells(file, samples, &mut progress)?,
+            travel: coverage::along_axes(&plan),
+            cost: coverage::of_cells(solver.plan(), &file.workspace, samples, &mut progress),
             crosstalk,
             carried,
             timing: Timing::of(file),
             free_at_home: solver.free_directions(&Pose::HOME).map(|free| free.to_string()).unwrap_or_default(),
-            told_uncalibrated: home::told(file, &plan)?,
+            told_uncalibrated: coverage::told(file, &plan)?,
             mirror_images: solver.has_mirror_images(),
             warnings: Vec::new(),
         };
@@ -112,25 +105,20 @@ impl Survey {
 
     /// The survey as a text for people, in millimetres, degrees and microamperes.
     pub fn report(&self) -> String {
-        report::write(self)
-    }
-}
-
-impl fmt::Display for WorkspaceFacts {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [tx, ty, tz] = self.half_extent_m.map(|extent| rounded(extent * 1e3));
-        let [rx, ry, rz] = self.half_extent_rad.map(|extent| rounded(extent.to_degrees()));
-        write!(f, "±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
-    }
-}
-
-impl From<Workspace> for WorkspaceFacts {
-    fn from(workspace: Workspace) -> Self {
-        Self {
-            half_extent_m: workspace.half_extent_m.to_array(),
-            half_extent_rad: workspace.half_extent_rad.to_array(),
+        let mut text = String::new();
+        for section in [write_head, write_home, write_coverage, write_travel, write_lighting, write_warnings] {
+            // Writing to a String cannot fail.
+            let _ = section(self, &mut text);
         }
+        text
     }
+}
+
+/// A workspace in millimetres and degrees.
+pub(crate) fn workspace_text(workspace: &Workspace) -> String {
+    let [tx, ty, tz] = workspace.half_extent_m.to_array().map(|extent| rounded(extent * 1e3));
+    let [rx, ry, rz] = workspace.half_extent_rad.to_array().map(|extent| rounded(extent.to_degrees()));
+    format!("±({tx}, {ty}, {tz}) mm, ±({rx}, {ry}, {rz})°")
 }
 
 /// To a millionth; adding zero turns −0 into 0.
@@ -150,14 +138,155 @@ fn serialize_lines<S: Serializer>(findings: &[Finding], serializer: S) -> Result
 
 /// A pose as `translation_m` and `rotation_rad` (rotation vector).
 fn serialize_pose<S: Serializer>(pose: &Pose, serializer: S) -> Result<S::Ok, S::Error> {
-    #[derive(Serialize)]
-    struct Vectors {
-        translation_m: [f64; 3],
-        rotation_rad: [f64; 3],
+    serializer.collect_map([
+        ("translation_m", pose.translation_m.to_array()),
+        ("rotation_rad", pose.rotation_rad().to_array()),
+    ])
+}
+
+fn serialize_workspace<S: Serializer>(workspace: &Workspace, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map([
+        ("half_extent_m", workspace.half_extent_m.to_array()),
+        ("half_extent_rad", workspace.half_extent_rad.to_array()),
+    ])
+}
+
+fn write_head(survey: &Survey, text: &mut String) -> fmt::Result {
+    writeln!(text, "{}: {} (hash {})", printable(&survey.origin), survey.name, survey.hash)?;
+    writeln!(text, "workspace {}", workspace_text(&survey.workspace))
+}
+
+fn write_home(survey: &Survey, text: &mut String) -> fmt::Result {
+    writeln!(text, "\nAt home")?;
+    writeln!(text, "  cell  status   d_A/mm  d_B/mm  X_A/mm    γ/°  Ω/msr  I_O/µA  flags")?;
+    for cell in &survey.home {
+        writeln!(
+            text,
+            "  {:>4}  {:<7} {:>7.3} {:>7.3} {:>7} {:>6} {:>6.3} {:>7.4}  {}",
+            cell.cell,
+            cell.status,
+            cell.emitter_distance_m * 1e3,
+            cell.slit_distance_m * 1e3,
+            optional(cell.x_a_m.map(|x_a| x_a * 1e3), 3),
+            optional(cell.gamma_rad.map(f64::to_degrees), 1),
+            cell.solid_angle_sr * 1e3,
+            cell.i_o_a * 1e6,
+            cell.flags
+        )?;
     }
-    let vectors =
-        Vectors { translation_m: pose.translation_m.to_array(), rotation_rad: pose.rotation_rad().to_array() };
-    vectors.serialize(serializer)
+    let reading = survey.noise.reading();
+    let Some(sigma) = survey.sigma_at_home else { return writeln!(text, "  {reading} gives no pose") };
+    let [x, y, z, rx, ry, rz] = sigma.map(|sigma| sigma * 1e6);
+    writeln!(
+        text,
+        "  {reading} gives the pose within ({x:.3}, {y:.3}, {z:.3}) µm, ({rx:.1}, {ry:.1}, {rz:.1}) µrad (1 σ)"
+    )
+}
+
+fn write_coverage(survey: &Survey, text: &mut String) -> fmt::Result {
+    let coverage = &survey.coverage;
+    writeln!(text, "\nOver the workspace ({} poses)", coverage.samples)?;
+    writeln!(
+        text,
+        "  cell   lit/%  clipped/%  dark/%  behind/%  faint/%  saturated/%  overscale/%     I_O/µA     electrode/µA"
+    )?;
+    for cell in &coverage.cells {
+        let percent = |share: f64| 100.0 * share;
+        let range =
+            cell.i_o_range_a.map_or("-".to_owned(), |[least, most]| format!("{:.3} … {:.3}", least * 1e6, most * 1e6));
+        writeln!(
+            text,
+            "  {:>4} {:>7.2} {:>10.2} {:>7.2} {:>9.2} {:>8.2} {:>12.2} {:>12.2}  {range:>15}  up to {:.3}",
+            cell.cell,
+            percent(cell.lit),
+            percent(cell.clipped),
+            percent(cell.dark),
+            percent(cell.behind),
+            percent(cell.faint),
+            percent(cell.saturated),
+            percent(cell.over_scale),
+            cell.most_electrode_a * 1e6
+        )?;
+    }
+    writeln!(text, "  saturated: the detector, above its saturation_a; overscale: an electrode above full_scale_a")?;
+    let cells = coverage.cells.len();
+    write!(text, "  all {cells} lit in {:.2} %", 100.0 * coverage.at_least_lit[cells])?;
+    for least in (1..cells).rev() {
+        write!(text, ", ≥ {least} in {:.2} %", 100.0 * coverage.at_least_lit[least])?;
+        if coverage.at_least_lit[least] >= 1.0 {
+            break;
+        }
+    }
+    writeln!(text)
+}
+
+fn write_travel(survey: &Survey, text: &mut String) -> fmt::Result {
+    writeln!(text, "\nPure motion from home with every cell lit and not faint")?;
+    for travel in &survey.travel {
+        let reason = |end: &End| match (end.cell, end.becomes) {
+            (Some(cell), Some(becomes)) => format!("cell {cell} {becomes}"),
+            _ => "end of search".to_owned(),
+        };
+        writeln!(
+            text,
+            "  {}  {} … {}  ({}; {})",
+            travel.axis,
+            amount(travel, travel.negative.at),
+            amount(travel, travel.positive.at),
+            reason(&travel.negative),
+            reason(&travel.positive)
+        )?;
+    }
+    Ok(())
+}
+
+fn amount(travel: &Travel, amount: f64) -> String {
+    match travel.axis.starts_with('t') {
+        true => format!("{:+8.3} mm", amount * 1e3),
+        false => format!("{:+8.2}°  ", amount.to_degrees()),
+    }
+}
+
+fn write_lighting(survey: &Survey, text: &mut String) -> fmt::Result {
+    writeln!(text, "\nLighting")?;
+    for slot in &survey.crosstalk {
+        let emitters: Vec<_> = slot.emitters.iter().map(ToString::to_string).collect();
+        let share = match slot.share {
+            0.0 => "no cross-talk".to_owned(),
+            share => format!("cross-talk up to {:.3} % (cell {})", 100.0 * share, slot.cell),
+        };
+        writeln!(text, "  slot {}: emitters {}, {share}", slot.slot, emitters.join(", "))?;
+    }
+    if survey.crosstalk.is_empty() {
+        writeln!(text, "  one emitter at a time: no cross-talk")?;
+    }
+    match survey.timing {
+        Some(timing) => writeln!(
+            text,
+            "  {} slots of {:.1} µs: {:.1} µs of a {:.1} µs frame ({:.0} %)",
+            timing.slots,
+            timing.slot_s * 1e6,
+            timing.busy_s * 1e6,
+            timing.frame_s * 1e6,
+            100.0 * timing.busy_s / timing.frame_s
+        ),
+        None => writeln!(text, "  no [front_end]: timing and full scale not checked"),
+    }
+}
+
+fn write_warnings(survey: &Survey, text: &mut String) -> fmt::Result {
+    if survey.warnings.is_empty() {
+        return writeln!(text, "\nNo warnings.");
+    }
+    writeln!(text, "\nWarnings")?;
+    for warning in &survey.warnings {
+        writeln!(text, "{warning:#}")?;
+    }
+    Ok(())
+}
+
+fn optional(value: Option<f64>, digits: usize) -> String {
+    value.map_or("-".to_owned(), |value| format!("{:.digits$}", rounded(value)))
 }
 
 #[cfg(test)]

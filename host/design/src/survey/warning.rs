@@ -1,5 +1,6 @@
 //! Warnings for the designer, each with its number and a remedy.
 
+use slitpose_calibration::half_extents;
 use slitpose_head::causes::with_causes;
 use slitpose_head::finding::{Finding, Grade};
 use slitpose_head::front_end::{TimingError, board_configuration};
@@ -7,7 +8,7 @@ use slitpose_head::scene_file::{FrontEnd, SceneFile};
 use slitpose_model::{MIN_CELLS, Status};
 
 use super::coverage::{CROSSTALK_LIMIT, CellCost, CellCoverage, SlotCrosstalk};
-use super::{AXES, End, Survey, WorkspaceFacts, pose_text};
+use super::{AXES, End, Survey, pose_text};
 
 /// σ of a single frame at home over the workspace's half extent: beyond this a pose is hardly told.
 const VAGUE: f64 = 0.1;
@@ -98,8 +99,7 @@ fn of_front_end(file: &SceneFile) -> Option<Finding> {
 /// The axis that noise leaves open most, if it leaves more than a tenth of the workspace.
 fn vague_at_home(survey: &Survey) -> Option<Finding> {
     let sigma = survey.sigma_at_home?;
-    let WorkspaceFacts { half_extent_m, half_extent_rad } = survey.workspace;
-    let axes = AXES.into_iter().zip(sigma).zip(half_extent_m.into_iter().chain(half_extent_rad));
+    let axes = AXES.into_iter().zip(sigma).zip(half_extents(&survey.workspace));
     let share = |sigma: f64, half_extent: f64| if half_extent > 0.0 { sigma / half_extent } else { 0.0 };
     let ((axis, sigma), half_extent) =
         axes.max_by(|((_, a), of), ((_, b), of_b)| share(*a, *of).total_cmp(&share(*b, *of_b)))?;
@@ -116,8 +116,7 @@ fn vague_at_home(survey: &Survey) -> Option<Finding> {
 
 /// Where the tool leaves a cell's range inside the workspace.
 fn short_travels(survey: &Survey) -> impl Iterator<Item = Finding> {
-    let (metres, radians) = (survey.workspace.half_extent_m, survey.workspace.half_extent_rad);
-    survey.travel.iter().zip(metres.into_iter().chain(radians)).flat_map(|(travel, half_extent)| {
+    survey.travel.iter().zip(half_extents(&survey.workspace)).flat_map(|(travel, half_extent)| {
         let warn = move |end: End| {
             let (number, becomes, axis) = (end.cell?, end.becomes?, travel.axis);
             if end.at.abs() >= half_extent {

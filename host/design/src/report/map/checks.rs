@@ -5,8 +5,8 @@ use slitpose_calibration::PartCosts;
 
 use super::Of;
 use crate::map::{Candidate, KNOWN, Map, Schedules, View, quantiles_of};
-use crate::plot::{Anchor, Axis, Chart, CurveStyle, Note, SOFT_INK, Scale, curve};
-use crate::report::section::{Picture, Section, Sheet, Table, Value, column};
+use crate::plot::{Axis, Chart, CurveStyle, Note, Scale, curve};
+use crate::report::section::{Picture, Section, Sheet, Table, Value};
 
 /// What is checked, its value, and what happens where that is above one, if it is a limit.
 const CHECKS: [(&str, Of, Option<&str>); 5] = [
@@ -88,12 +88,12 @@ pub(super) fn redundancy(map: &Map) -> Section {
                           nearest; above one, the limit is passed"
                     .to_owned(),
                 columns: vec![
-                    column("quantity", "quantity"),
-                    column("home", "home"),
-                    column("median", "median"),
-                    column("of_95_percent", "95 %"),
-                    column("of_99_percent", "99 %"),
-                    column("worst", "worst"),
+                    ("quantity", "quantity"),
+                    ("home", "home"),
+                    ("median", "median"),
+                    ("of_95_percent", "95 %"),
+                    ("of_99_percent", "99 %"),
+                    ("worst", "worst"),
                 ],
                 rows,
             },
@@ -231,9 +231,7 @@ fn cost_picture(costs: &PartCosts) -> Picture {
     let note = |(row, (part, errors)): (usize, &(&str, [f64; 2]))| Note {
         at: [errors[0].max(errors[1]).max(chart.x.range[0]), height(row)],
         offset: dvec2(10.0, 4.5),
-        anchor: Anchor::Start,
         text: (*part).to_owned(),
-        colour: SOFT_INK,
     };
     chart.notes = rows.iter().enumerate().map(note).collect();
     Sheet {

@@ -1,25 +1,26 @@
-//! A page on the accuracy of a head over its workspace: `slitpose scene map`.
+//! Pages on the accuracy of heads over their workspaces: `slitpose scene map` of one, `slitpose compare` of several beside each other.
 
 use slitpose_calibration::{Head, PartCosts};
 use slitpose_head::causes::with_causes;
 use slitpose_head::front_end::configuration;
+use slitpose_head::scene_file::SceneFile;
 
 use crate::map::{Map, NoiseOf, Plane, PlanePoint, Schedules, View};
 use crate::plot::{Axis, Chart, CurveStyle, Heat, curve, heat_picture};
-use crate::report::section::{Getter, Picture, Report, Section, Sheet, Table, Value, column, program, scene};
-use crate::survey::{AXES, WorkspaceFacts, pose_text};
+use crate::report::section::{Getter, Picture, Report, Section, Sheet, Table, Value, program, scene};
+use crate::survey::{AXES, pose_text, workspace_text};
 
 mod checks;
 
 type Of = fn(&View) -> Option<f64>;
 
 /// What of a pose is shown, its three axes together.
-pub(super) struct Kind {
-    pub(super) name: &'static str,
-    pub(super) unit: &'static str,
+struct Kind {
+    name: &'static str,
+    unit: &'static str,
     /// From SI to `unit`.
-    pub(super) scale: f64,
-    pub(super) of: Of,
+    scale: f64,
+    of: Of,
     /// The worst behind a point of a plane.
     worst: fn(&PlanePoint) -> f64,
 }
@@ -28,7 +29,7 @@ const POSITION: Kind =
     Kind { name: "position", unit: "µm", scale: 1e6, of: View::sigma_m, worst: |point| point.worst_m };
 const ROTATION: Kind =
     Kind { name: "rotation", unit: "mrad", scale: 1e3, of: View::sigma_rad, worst: |point| point.worst_rad };
-pub(super) const KINDS: [Kind; 2] = [POSITION, ROTATION];
+const KINDS: [Kind; 2] = [POSITION, ROTATION];
 
 /// The report on `map` of `head`, with what its tolerances cost and schedules do, if that was asked for.
 pub fn map_report(head: &Head, map: &Map, costs: Option<&PartCosts>, proposed: Option<&Schedules>) -> Report {
@@ -41,7 +42,7 @@ pub fn map_report(head: &Head, map: &Map, costs: Option<&PartCosts>, proposed: O
     let mut conditions = vec![
         program(),
         scene(file),
-        ("workspace", WorkspaceFacts::from(file.workspace).to_string()),
+        ("workspace", workspace_text(&file.workspace)),
         ("noise", noise.to_owned()),
         ("data", format!("computed: the Cramér–Rao bound at {} poses; nothing was measured", map.samples.len())),
     ];
@@ -131,14 +132,14 @@ fn accuracy(map: &Map) -> Section {
             name: "accuracy",
             caption: "σ of single frames: at home, and at shares of the workspace".to_owned(),
             columns: vec![
-                column("axis", "axis"),
-                column("unit", "unit"),
-                column("home", "home"),
-                column("median", "median"),
-                column("of_95_percent", "95 %"),
-                column("of_99_percent", "99 %"),
-                column("worst", "worst"),
-                column("median_per_root_hz", "median per √Hz"),
+                ("axis", "axis"),
+                ("unit", "unit"),
+                ("home", "home"),
+                ("median", "median"),
+                ("of_95_percent", "95 %"),
+                ("of_99_percent", "99 %"),
+                ("worst", "worst"),
+                ("median_per_root_hz", "median per √Hz"),
             ],
             rows,
         }],
@@ -146,7 +147,7 @@ fn accuracy(map: &Map) -> Section {
 }
 
 /// Share of the workspace by accuracy, for each of `maps`.
-pub(super) fn distribution(maps: &[(&str, &Map)]) -> Picture {
+fn distribution(maps: &[(&str, &Map)]) -> Picture {
     let panel = |kind: &Kind| {
         let of_map = |(index, (name, map)): (usize, &(&str, &Map))| {
             let shares: [f64; POINTS] = std::array::from_fn(|k| (k + 1) as f64 / POINTS as f64);
@@ -287,4 +288,89 @@ fn samples(map: &Map) -> Table {
         ],
         &[],
     )
+}
+
+/// Compares the heads of `maps`, each over its own workspace and with its own noise.
+pub fn comparison(maps: &[(SceneFile, Map)]) -> Report {
+    let noise = |map: &Map| match map.noise {
+        NoiseOf::FrontEnd => "front end",
+        NoiseOf::Channel => "channel",
+        NoiseOf::Nothing => "none",
+    };
+    let [position, rotation] = KINDS;
+    let of = |map: &Map, kind: &Kind, share: f64| Value::from(map.quantile(share, kind.of) * kind.scale);
+    let by_rate = |map: &Map, kind: &Kind| {
+        Value::optional(map.per_root_hz().map(|by| map.quantile(0.5, kind.of) * kind.scale * by))
+    };
+    let share = |map: &Map, holds: &dyn Fn(&View) -> bool| Value::from(100.0 * map.share(holds));
+    let table = Table::of(
+        "heads",
+        "Single frames over the workspace",
+        maps,
+        &[
+            ("scene", "scene", &|(file, _)| file.origin.as_str().into()),
+            ("cells", "cells", &|(_, map)| map.cells().into()),
+            ("noise", "noise", &|(_, map)| noise(map).into()),
+            ("frame_rate_hz", "frames/s", &|(_, map)| Value::optional(map.frame_rate_hz)),
+            ("position_median_um", "σ / µm", &|(_, map)| of(map, &position, 0.5)),
+            ("position_99_percent_um", "99 %", &|(_, map)| of(map, &position, 0.99)),
+            ("position_worst_um", "worst", &|(_, map)| of(map, &position, 1.0)),
+            ("position_um_per_root_hz", "µm/√Hz", &|(_, map)| by_rate(map, &position)),
+            ("rotation_median_mrad", "σ / mrad", &|(_, map)| of(map, &rotation, 0.5)),
+            ("rotation_99_percent_mrad", "99 %", &|(_, map)| of(map, &rotation, 0.99)),
+            ("rotation_worst_mrad", "worst", &|(_, map)| of(map, &rotation, 1.0)),
+            ("rotation_mrad_per_root_hz", "mrad/√Hz", &|(_, map)| by_rate(map, &rotation)),
+            ("all_lit_percent", "all lit / %", &|(_, map)| share(map, &|view| view.lit == map.cells())),
+            ("with_pose_percent", "with pose / %", &|(_, map)| share(map, &|view| view.sigma.is_some())),
+            ("condition_median", "condition", &|(_, map)| map.quantile(0.5, |view| view.condition).into()),
+            ("unnoticed_median_sigmas", "unnoticed / σ", &|(_, map)| {
+                map.quantile(0.5, |view| Some(view.unnoticed_sigmas)).into()
+            }),
+            ("one_dark_um", "one dark / µm", &|(_, map)| {
+                Value::optional(map.worst_dark(View::sigma_m).map(|(_, worst)| worst * 1e6))
+            }),
+        ],
+    );
+    let names: Vec<(&str, &Map)> = maps.iter().map(|(file, map)| (file.origin.as_str(), map)).collect();
+    let workspace = |file: &SceneFile| format!("{}: {}", file.origin, workspace_text(&file.workspace));
+    let best = |kind: &Kind, is_by_rate: bool| {
+        let Kind { name, unit, scale, of, .. } = kind;
+        let medians = maps.iter().filter_map(|(file, map)| {
+            Some((file, map.quantile(0.5, of) * if is_by_rate { map.per_root_hz()? } else { 1.0 }))
+        });
+        let (file, median) = medians.filter(|(_, median)| median.is_finite()).min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let per = if is_by_rate { "/√Hz" } else { "" };
+        Some(format!("Best in {name} by the median: {}, {:.3} {unit}{per}.", file.origin, median * scale))
+    };
+    // Of a head with more frames a second, each counts for less.
+    let is_of_one_rate = maps.windows(2).all(|pair| pair[0].1.frame_rate_hz == pair[1].1.frame_rate_hz);
+    let ways = if is_of_one_rate { &[false][..] } else { &[false, true] };
+    let bests = ways.iter().flat_map(|by_rate| KINDS.iter().filter_map(|kind| best(kind, *by_rate)));
+    Report {
+        title: "Heads compared",
+        scene: maps.iter().map(|(file, _)| file.origin.as_str()).collect::<Vec<_>>().join(", "),
+        conditions: vec![
+            program(),
+            ("workspaces", maps.iter().map(|(file, _)| workspace(file)).collect::<Vec<_>>().join("; ")),
+            ("noise", if maps.iter().all(|(_, map)| map.noise == NoiseOf::FrontEnd) {
+                "of a single frame by the front end".to_owned()
+            } else {
+                "of the measuring channel of `[noise]`".to_owned()
+            }),
+            ("data", "computed: the Cramér–Rao bound; nothing was measured".to_owned()),
+        ],
+        sections: vec![Section {
+            name: "heads",
+            title: "Accuracy",
+            summary: bests.collect(),
+            paragraphs: vec![
+                "Each head over its own workspace. σ is that of a single frame, three axes together; unnoticed is what a fault of \
+                 one cell can do to the pose, see `slitpose scene map`."
+                    .to_owned(),
+            ],
+            pictures: vec![distribution(&names)],
+            tables: vec![table],
+        }],
+        ..Report::default()
+    }
 }
