@@ -103,11 +103,3 @@ pub fn pose() -> Pose {
 pub fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
 }
-
-/// Where an emitter is in the frame of its cell.
-pub fn emitter_in_cell(cell: &Cell, pose: &Pose) -> DVec3 {
-    let turned = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
-    let (x, z) = (cell.detector.x_axis_base, cell.detector.normal_base);
-    let from_centre = turned - cell.detector.centre_base_m;
-    DVec3::new(from_centre.dot(x), from_centre.dot(z.cross(x)), from_centre.dot(z))
-}

@@ -258,32 +258,3 @@ pub fn jacobian_change_rate<S: Number>(cells: &[PlaneCell<S>], length_scale_m: S
     let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
     S::of(8.0) * length_scale_m / shortest.max(S::of(1e-3) * length_scale_m)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::super::fixture::{emitter_in_cell, head, pose};
-    use super::*;
-
-    #[test]
-    fn the_pose_is_where_all_emitters_lie_in_the_planes_of_their_light() {
-        let (scene, truth) = (head(), pose());
-        let planes: heapless::Vec<_, 6> =
-            scene.cells.iter().map(|cell| PlaneCell::compile(cell, &Pose::HOME, true)).collect();
-        let readings: heapless::Vec<_, 6> = scene
-            .cells
-            .iter()
-            .enumerate()
-            .map(|(cell, description)| {
-                // Light through the middle of the slit: e_x·d_B + X_A·(e_z − d_B) = 0.
-                let e = emitter_in_cell(description, &truth);
-                let d = description.slit.distance_m;
-                let share = -e.x * d / (e.z - d) / (0.5 * description.detector.length_m);
-                Usable { cell, pair: [0.5 * (1.0 - share), 0.5 * (1.0 + share)] }
-            })
-            .collect();
-        let found = pose_on_planes(&planes, &readings, Transform::of(&Pose::HOME), 8e-3).to_pose();
-        let (dt, dr) = found.displacement_from(&truth);
-        // The pull towards home leaves 1e-6 of the way of a millimetre, and of 0.07 rad.
-        assert!(dt.length() < 3e-9 && dr.length() < 3e-7, "{dt} {dr}");
-    }
-}
