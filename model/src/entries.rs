@@ -19,7 +19,7 @@ pub trait Scalar: Number {
     /// Cells in as many lanes as the processor has at run time.
     type CellsInLanes: CellsAtOnce<Self>;
 
-    fn set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError>;
+    fn solver(scene: &Scene, tier: Tier) -> Result<Solver<Self>, SceneError>;
     fn compile(scene: &Scene, tier: Tier) -> Result<CompiledScene<Self>, SceneError>;
     fn respond(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Response<Self>;
     fn photocurrents(plan: &CompiledScene<Self>, cell: usize, pose: &Pose) -> Pair<Self>;
@@ -67,8 +67,8 @@ macro_rules! entries_of {
     ($($scalar:ty, $wide:ty;)*) => {
         $(entries! {
             $scalar, $wide:
-            set_scene(solver: &mut Solver<Self>, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
-                solver.set_scene_here(scene, tier)
+            solver(scene: &Scene, tier: Tier) -> Result<Solver<Self>, SceneError> {
+                Solver::new_here(scene, tier)
             }
             compile(scene: &Scene, tier: Tier) -> Result<CompiledScene<Self>, SceneError> {
                 CompiledScene::compile_here(scene, tier)

@@ -28,8 +28,6 @@ impl<S: Number> CompiledCell<S> {
                 return Polygon::of_beam(slit, e, half)
                     .map(|(polygon, status)| (Spot::Polygon(polygon), status, S::zero()));
             }
-            // Those have spots of their own.
-            Aperture::Imperfect(_) => return Err(Status::Dark),
         };
         let status = verdict.status(0);
         if status.has_spot() { Ok((Spot::Rectangle(rectangle), status, verdict.slack_m(0))) } else { Err(status) }
@@ -124,7 +122,7 @@ fn light_apart<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
 
 pub fn photocurrents<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::photocurrents(plan, cell, imperfect, base_from_tool);
     }
     photocurrents_of(plan, cell, &cell.emitter, base_from_tool)
@@ -154,7 +152,7 @@ fn photocurrents_of<S: Scalar>(
 #[inline(never)]
 pub fn linearise<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::linearise(plan, cell, imperfect, base_from_tool);
     }
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
@@ -171,7 +169,7 @@ pub fn linearise<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool
 
 pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::respond(plan, cell, imperfect, base_from_tool);
     }
     let CompiledCell { receiver, emitter, .. } = cell;
@@ -231,7 +229,7 @@ pub fn outline<S: Scalar>(
     base_from_tool: &Transform<S>,
 ) -> Vec<[S; 2], MAX_CORNERS> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::outline(cell, imperfect, base_from_tool);
     }
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
@@ -252,7 +250,7 @@ pub fn photocurrents_of_emitters<S: Scalar>(
     let lit = lit.filter(|&(emitter, _)| plan.has_emitter(cell, emitter));
     let cell = &plan.cells[cell];
     let lit = lit.map(|(emitter, level)| (&plan.cells[emitter], level));
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::photocurrents_of_emitters(plan, cell, imperfect, lit, base_from_tool);
     }
     lit.fold(Pair::default(), |sum: Pair<S>, (of, level)| {

@@ -43,46 +43,40 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
 }
 
 impl<S: Scalar> Compiled<S> {
-    #[inline(always)]
-    pub fn empty() -> Self {
-        Self::without_cells(CompiledScene::empty())
-    }
-
-    /// Compiles `scene` in place, for a processor whose RAM holds one solver and not two: cells
-    /// exposed at the reference instant.
+    /// Of `scene`, its cells exposed at the reference instant.
     ///
     /// # Errors
-    /// Those of [`CompiledScene::compile`]. It is then empty.
+    /// Those of [`CompiledScene::compile`].
     #[inline(never)]
-    pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
-        self.planes.clear();
-        self.noise.clear();
-        self.limits.clear();
-        self.offsets_s.clear();
-        self.plan.set_scene(scene, tier)?;
+    pub fn of(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
+        let plan = CompiledScene::compile(scene, tier)?;
         let rounding = 16.0 * S::epsilon().as_f64();
         let relative_error = match tier {
             Tier::Paper => rounding,
             Tier::Exact { tolerance } => tolerance.max(rounding),
         };
-        let cells = scene.cells.iter();
-        self.length_scale_m = S::of(scene.length_scale_m());
-        let home = home(scene);
-        self.home = Rigid::of(&home);
-        self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, &home, tier == Tier::Paper)));
-        self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
-        self.limits.extend(cells.map(|cell @ Cell { detector, .. }| Limits {
+        let (cells, home, length_scale_m) = (scene.cells.iter(), home(scene), S::of(scene.length_scale_m()));
+        let planes: Vec<_, MAX_CELLS> =
+            cells.clone().map(|cell| PlaneCell::compile(cell, &home, tier == Tier::Paper)).collect();
+        let limits = cells.map(|cell @ Cell { detector, .. }| Limits {
             // Stray light without a spot is as faint as none.
             faint_a: S::of(detector.faint_a + cell.stray_a()),
             saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
             most_share: S::infinity(),
-        }));
+        });
         let level_sigma = scene.uncertainty.light_level_relative;
-        self.level_information = (level_sigma > 0.0).then(|| S::of((level_sigma * level_sigma).recip()));
-        self.set_gates();
-        self.jacobian_change_rate = jacobian_change_rate(&self.planes, self.length_scale_m);
-        self.has_images = false;
-        Ok(())
+        let mut compiled = Self {
+            noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
+            limits: limits.collect(),
+            length_scale_m,
+            home: Rigid::of(&home),
+            jacobian_change_rate: jacobian_change_rate(&planes, length_scale_m),
+            planes,
+            level_information: (level_sigma > 0.0).then(|| S::of((level_sigma * level_sigma).recip())),
+            ..Self::without_cells(plan)
+        };
+        compiled.set_gates();
+        Ok(compiled)
     }
 
     /// The readings that the head gives with the tool at rest at `pose`, without noise.

@@ -90,9 +90,7 @@ pub const EFFECTS: [Effect; 9] = [
 ];
 
 pub fn compiled() -> Compiled<f64> {
-    let mut compiled = Compiled::empty();
-    compiled.set_scene(&head(), Tier::Paper).expect("a valid scene");
-    compiled
+    Compiled::of(&head(), Tier::Paper).expect("a valid scene")
 }
 
 /// A pose with something in each coordinate.

@@ -1,7 +1,6 @@
 //! The solver against poses it does not know, outliers, gains nobody knows, and what a pose says of its own worth.
 
-use glam::DVec3;
-use slitpose_model::{DegradedReason, Outcome, Pair, Photocurrents, Pose, Reading, Scene, Solver, Status, Tier};
+use slitpose_model::{DegradedReason, Outcome, Pair, Photocurrents, Reading, Solver, Status, Tier};
 
 use crate::common::{base, cold, generator, near, noisy, pairs, pose_in_box, seen, uniform, wide};
 
@@ -32,30 +31,6 @@ fn a_pose_from_currents_that_are_none_is_finite() {
         pairs[3].i_x2_a = bad;
         let solution = cold(&solver, &Photocurrents::of_pairs(pairs));
         assert!(solution.estimate.is_none_or(|estimate| estimate.pose.is_finite()));
-    }
-}
-
-#[test]
-fn a_solver_takes_another_scene_where_it_is() {
-    let pose = Pose::from_vectors(DVec3::splat(1e-3), DVec3::splat(0.05));
-    let same = |a: &Solver<f64>, b: &Solver<f64>| {
-        let readings = seen(b.plan(), &pose);
-        let [a, b] = [a, b].map(|solver| cold(solver, &readings));
-        assert!(b.estimate.is_some());
-        assert_eq!((a.outcome, a.estimate, a.chi2), (b.outcome, b.estimate, b.chi2));
-    };
-    let mut solver = Solver::<f64>::empty();
-    for (scene, tier) in [(wide(), Tier::Paper), (base(), Tier::Exact { tolerance: 1e-6 }), (wide(), Tier::Paper)] {
-        // Whatever it was before.
-        solver.set_scene(&scene, tier).expect("scene");
-        same(&solver, &Solver::new(&scene, tier).expect("scene"));
-        solver = solver.with_exposures(&[1e-3; 6]);
-    }
-    let seen = seen(solver.plan(), &pose);
-    assert!(solver.set_scene(&Scene::default(), Tier::Paper).is_err());
-    for none in [solver, Solver::empty()] {
-        assert_eq!((none.plan().cell_count(), cold(&none, &seen).outcome.has_pose()), (0, false));
-        assert!(!near(&none, &seen, &pose).outcome.has_pose());
     }
 }
 

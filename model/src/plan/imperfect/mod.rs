@@ -27,7 +27,7 @@ use self::opening::Opening;
 use self::passage::{Passage, Passed, Way, pass};
 use self::source::{CENTRE_WEIGHT, ExtendedSource, RING, RING_WEIGHT, azimuthal_factor};
 use super::optics::{Light, Place, Receiver, Seen, Source};
-use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene};
+use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene, CurrentsJacobian};
 
 #[derive(Clone, Debug)]
 pub struct Imperfect<S: Number> {
@@ -235,7 +235,7 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
     sums: &mut Sums<S>,
 ) -> Result<Own<S>, Status> {
     let emitter = &of.emitter;
-    let its = plan.imperfect_of(of);
+    let its = of.imperfect.as_ref();
     let extended = its.map(|imperfect| &imperfect.source);
     // Light passes the slit that rides with its emitter, else the opening of the cell.
     let rides = |it: &&Imperfect<S>| matches!(it.passage, Passage::Opening(Opening::Riding(_)));
@@ -267,13 +267,13 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
     }
 }
 
-/// All light on the detector of `cell`.
+/// The currents of all light on the detector of `cell`, their derivatives, and what is known of the spot of its own emitter.
 fn gather<S: Scalar, const GRADIENT: bool>(
     plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
-) -> (Sums<S>, Result<Own<S>, Status>) {
+) -> ([S; 2], CurrentsJacobian<S>, Result<Own<S>, Status>) {
     let mut sums = Sums::none(S::zero());
     let own = add_emitter::<S, GRADIENT>(plan, cell, imperfect, cell, pose, &mut sums);
     if imperfect.lit_together != 0 {
@@ -284,7 +284,10 @@ fn gather<S: Scalar, const GRADIENT: bool>(
             }
         }
     }
-    (sums, own)
+    let at = (pose.translation(), pose);
+    let (pair, jacobian) =
+        imperfect.electrical.currents::<GRADIENT>(&cell.receiver, plan.is_paper, &sums, S::one(), at);
+    (pair, jacobian, own)
 }
 
 #[cold]
@@ -295,14 +298,7 @@ pub fn photocurrents<S: Scalar>(
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
 ) -> Pair<S> {
-    let (sums, _) = gather::<S, false>(plan, cell, imperfect, pose);
-    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(
-        &cell.receiver,
-        plan.is_paper,
-        &sums,
-        S::one(),
-        (pose.translation(), pose),
-    );
+    let ([i_x1_a, i_x2_a], ..) = gather::<S, false>(plan, cell, imperfect, pose);
     Pair { i_x1_a, i_x2_a }
 }
 
@@ -314,14 +310,7 @@ pub fn linearise<S: Scalar>(
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
 ) -> CellTerms<S> {
-    let (sums, own) = gather::<S, true>(plan, cell, imperfect, pose);
-    let (pair, jacobian) = imperfect.electrical.currents::<true>(
-        &cell.receiver,
-        plan.is_paper,
-        &sums,
-        S::one(),
-        (pose.translation(), pose),
-    );
+    let (pair, jacobian, own) = gather::<S, true>(plan, cell, imperfect, pose);
     match own {
         Ok(Own { status, slack_m, .. }) => CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() },
         // Without direct light, what is left says next to nothing of the pose.
@@ -338,14 +327,7 @@ pub fn respond<S: Scalar>(
     pose: &Transform<S>,
 ) -> Response<S> {
     let receiver = &cell.receiver;
-    let (sums, own) = gather::<S, false>(plan, cell, imperfect, pose);
-    let (pair, _) = imperfect.electrical.currents::<false>(
-        &cell.receiver,
-        plan.is_paper,
-        &sums,
-        S::one(),
-        (pose.translation(), pose),
-    );
+    let (pair, _, own) = gather::<S, false>(plan, cell, imperfect, pose);
     let half_dark = S::half() * receiver.dark;
     let currents = Pair { i_x1_a: pair[0] + half_dark, i_x2_a: pair[1] + half_dark };
     let i_o_a = currents.total_a();
