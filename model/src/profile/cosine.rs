@@ -42,34 +42,20 @@ impl<S: Number> Cosine<S> {
     }
 }
 
-impl<S: Number> Falloff<S> for Power<S> {
-    #[inline(always)]
-    fn relative(&self, c: S) -> S {
-        self.of(c)
-    }
-
-    #[inline(always)]
-    fn with_slope(&self, c: S) -> (S, S) {
-        let value = self.of(c);
-        (value, self.exponent() * value / c)
-    }
-}
-
 impl<S: Number> Falloff<S> for Cosine<S> {
     #[inline(always)]
     fn relative(&self, c: S) -> S {
-        self.power.relative(c)
+        self.power.of(c)
     }
 
     #[inline(always)]
     fn with_slope(&self, c: S) -> (S, S) {
-        self.power.with_slope(c)
+        let value = self.power.of(c);
+        (value, self.power.exponent() * value / c)
     }
 }
 
 impl<S: Number> Emission<S> for Cosine<S> {
-    const NEEDS_SERIES: bool = false;
-
     fn at_horizon(&self) -> S {
         if self.power.exponent() == S::zero() { S::one() } else { S::zero() }
     }

@@ -150,8 +150,6 @@ impl<S: Number, E: Falloff<S>> Falloff<S> for Shaped<S, E> {
 }
 
 impl<S: Number, E: Emission<S>> Emission<S> for Shaped<S, E> {
-    const NEEDS_SERIES: bool = E::NEEDS_SERIES;
-
     fn at_horizon(&self) -> S {
         self.ideal.at_horizon() * self.factor(S::zero()).0
     }

@@ -148,8 +148,6 @@ impl<S: Number> Falloff<S> for Table<S> {
 }
 
 impl<S: Number> Emission<S> for Table<S> {
-    const NEEDS_SERIES: bool = true;
-
     fn at_horizon(&self) -> S {
         self.horizon
     }

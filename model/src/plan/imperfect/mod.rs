@@ -16,7 +16,6 @@ use crate::entries::Scalar;
 use crate::paper;
 use crate::polygon::MAX_CORNERS;
 use crate::pose::Transform;
-use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Number, Real, array};
 use crate::scene::Cell;
@@ -205,18 +204,8 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
 ) -> Result<Own<S>, Status> {
     let receiver = &cell.receiver;
     let seen = receiver.see(source, pose);
-    macro_rules! pass {
-        ($profile:expr) => {
-            pass::<S, _, GRADIENT>(plan, cell, passage, emitter, $profile, source, &seen, pose)
-        };
-    }
-    let passed = match &emitter.profile {
-        CompiledProfile::Cosine(profile) => pass!(profile),
-        CompiledProfile::Table(profile) => pass!(profile),
-        CompiledProfile::ShapedCosine(profile) => pass!(profile),
-        CompiledProfile::ShapedTable(profile) => pass!(profile),
-    };
-    let Passed { light, way, integration, status, slack_m } = passed?;
+    let passed = pass::<S, GRADIENT>(plan, cell, passage, emitter, source, &seen, pose)?;
+    let Passed { light, way, integration, status, slack_m } = passed;
     let Some(light) = light else {
         return Ok(Own { status, slack_m, photocurrent: S::zero(), x_a: None, integration });
     };
