@@ -6,7 +6,7 @@ use crate::entries::Scalar;
 use crate::plan::{CompiledScene, Optics, Tier};
 use crate::pose::{Pose, Rigid, Transform};
 use crate::scalar::{Linear3, Number};
-use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
+use crate::scene::{Cell, MAX_CELLS, Scene};
 
 use super::home::home;
 use super::outcome::{Directions, Outcome, Solution};
@@ -42,14 +42,10 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
     pub level_information: Option<S>,
 }
 
-impl<S: Scalar> Compiled<S> {
-    /// Of `scene`, its cells exposed at the reference instant.
-    ///
-    /// # Errors
-    /// Those of [`CompiledScene::compile`].
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
+    /// Of `scene` and its `plan`, the cells exposed at the reference instant.
     #[inline(never)]
-    pub fn of(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let plan = CompiledScene::compile(scene, tier)?;
+    pub fn of(scene: &Scene, tier: Tier, plan: P) -> Self {
         let rounding = 16.0 * S::epsilon().as_f64();
         let relative_error = match tier {
             Tier::Paper => rounding,
@@ -76,9 +72,11 @@ impl<S: Scalar> Compiled<S> {
             ..Self::without_cells(plan)
         };
         compiled.set_gates();
-        Ok(compiled)
+        compiled
     }
+}
 
+impl<S: Scalar> Compiled<S> {
     /// The readings that the head gives with the tool at rest at `pose`, without noise.
     pub fn seen_at(&self, pose: &Pose) -> Sorted<S> {
         let pairs = (0..self.plan.cell_count()).map(|cell| self.plan.photocurrents(cell, pose));
@@ -123,22 +121,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Data of so many cells, less the unknowns.
     pub fn redundancy(&self, cells: usize) -> usize {
         redundancy(cells, self.level_information(cells).is_some())
-    }
-
-    pub fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
-        Compiled {
-            plan,
-            planes: self.planes,
-            noise: self.noise,
-            limits: self.limits,
-            gates: self.gates,
-            offsets_s: self.offsets_s,
-            length_scale_m: self.length_scale_m,
-            home: self.home,
-            jacobian_change_rate: self.jacobian_change_rate,
-            has_images: self.has_images,
-            level_information: self.level_information,
-        }
     }
 
     pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {

@@ -90,7 +90,8 @@ pub const EFFECTS: [Effect; 9] = [
 ];
 
 pub fn compiled() -> Compiled<f64> {
-    Compiled::of(&head(), Tier::Paper).expect("a valid scene")
+    let plan = CompiledScene::compile(&head(), Tier::Paper).expect("a valid scene");
+    Compiled::of(&head(), Tier::Paper, plan)
 }
 
 /// A pose with something in each coordinate.

@@ -306,11 +306,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     fn may_cross_kink(&self, step: &Step<S>, reach: Reach<S>, workspace: &Workspace<S>) -> bool {
         step.predicted_reduction <= S::of(NEAR) && !self.is_smooth(reach.length, workspace)
     }
-
-    pub fn factor_at(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> Option<Factor<S>> {
-        let at: NormalEquations<S> = self.linearise(pose, workspace);
-        self.factor(&at, workspace)
-    }
 }
 
 impl<S: Number> Step<S> {

@@ -130,12 +130,6 @@ impl<S: Number> PlaneCell<S> {
         normal * normal.length().recip()
     }
 
-    /// [`Self::row_from`] the slit.
-    #[inline(always)]
-    pub fn row_from_slit(&self, normal: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
-        self.row_from(self.slit, normal, pose, length_scale_m)
-    }
-
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
     /// by (δt, arm·δθ).
     pub fn row(&self, reading: &Usable<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
@@ -144,7 +138,7 @@ impl<S: Number> PlaneCell<S> {
 
     fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         match plane {
-            Plane::Emitter(normal) => self.row_from_slit(normal, pose, length_scale_m),
+            Plane::Emitter(normal) => self.row_from(self.slit, normal, pose, length_scale_m),
             Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
         }
     }

@@ -47,7 +47,7 @@ impl<S: Scalar> Solver<S> {
 
     #[inline(always)]
     pub(crate) fn new_here(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let mut compiled = Compiled::of(scene, tier)?;
+        let mut compiled = Compiled::of(scene, tier, CompiledScene::compile(scene, tier)?);
         compiled.has_images = compiled.may_have_images();
         Ok(Self { compiled, max_steps: None })
     }
