@@ -28,8 +28,7 @@ impl<S: Number> CompiledCell<S> {
                     .map(|(polygon, status)| (Spot::Polygon(polygon), status, S::zero()));
             }
         };
-        let status = verdict.status(0);
-        if status.has_spot() { Ok((Spot::Rectangle(rectangle), status, verdict.slack_m(0))) } else { Err(status) }
+        verdict.spot().map(|status| (Spot::Rectangle(rectangle), status, verdict.slack_m(0)))
     }
 }
 
