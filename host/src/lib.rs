@@ -40,7 +40,7 @@ mod terminal;
 mod samples {
     use slitpose_head::scene_file::WIDE;
     use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-    use slitpose_model::{MotionPrior, NoTwist, Photocurrents, Solver, Start, Tier};
+    use slitpose_model::{Cells, NoTwist, Outcome, Solution, Tier};
     use slitpose_protocol::{ClockSource, Command, SettingsSource, Status};
     use slitpose_tracking::link::DeviceId;
     use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};
@@ -54,7 +54,7 @@ mod samples {
             device_time_s: 0.0,
             host_time: None,
             arrival: None,
-            solution: Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST),
+            solution: Solution::reported(Outcome::Diverged, None, f64::NAN, Cells::default(), Cells::default()),
             twist: Err(NoTwist::NoPose),
             filtered: None,
             light_level: None,

@@ -18,8 +18,6 @@ pub enum Aperture<S: Number> {
     Thick(Face<S>, Face<S>),
     /// A slit rotated relative to the detector; the two faces of a thin mask coincide.
     Turned(Turned<S>),
-    /// That of a cell with effects, by its number among those.
-    Imperfect(usize),
 }
 
 /// A slit face parallel to the detector at height z.
@@ -110,7 +108,7 @@ impl<S: Number> Aperture<S> {
     pub fn skew(&self) -> S {
         match self {
             Self::Turned(turned) => turned.skew,
-            Self::Thin(_) | Self::Thick(..) | Self::Imperfect(_) => S::zero(),
+            Self::Thin(_) | Self::Thick(..) => S::zero(),
         }
     }
 

@@ -68,7 +68,6 @@ mod entries;
 mod exact;
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 mod lanes;
-mod list;
 mod paper;
 mod plan;
 mod polygon;

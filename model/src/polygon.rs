@@ -393,37 +393,3 @@ pub fn fan_solid_angle<S: Number>(first: [S; 2], fan: impl Iterator<Item = (S, [
     // The sum is negative only for a sliver thinner than its corners' rounding.
     fan.fold(S::zero(), |sum, (twice, b, c)| sum + triangle_solid_angle(twice, first, b, c, height)).max(S::zero())
 }
-
-#[cfg(test)]
-mod tests {
-    use glam::DVec3;
-
-    use super::*;
-
-    fn keeping(normal: [f64; 2], offset: f64) -> Line<f64> {
-        Line { normal, offset, motion: Motion::Moved { by_position: Default::default(), is_end: false } }
-    }
-
-    #[test]
-    fn a_clipped_rectangle_has_the_area_and_centroid_of_its_rest() {
-        let mut spot = Polygon::<f64>::detector(DVec3::Z, [1.0, 0.5]);
-        assert!((spot.area() - 2.0).abs() < 1e-15);
-        spot.clip(keeping([-1.0, 0.0], 0.0));
-        assert!((spot.area() - 1.0).abs() < 1e-15 && (spot.centroid()[0] + 0.5).abs() < 1e-15);
-        // x + y ≤ −½ leaves the triangle (−1, −½), (0, −½), (−1, ½).
-        spot.clip(keeping([-1.0, -1.0], -0.5));
-        let [x, y] = spot.centroid();
-        assert!((spot.area() - 0.5).abs() < 1e-15, "{}", spot.area());
-        assert!((x + 2.0 / 3.0).abs() < 1e-15 && (y + 1.0 / 6.0).abs() < 1e-15, "{x} {y}");
-    }
-
-    #[test]
-    fn a_line_beside_the_spot_leaves_all_or_nothing() {
-        let spot = Polygon::<f64>::detector(DVec3::Z, [1.0, 0.5]);
-        for (offset, is_left) in [(1.1, true), (-1.1, false)] {
-            let mut clipped = spot.clone();
-            clipped.clip(keeping([1.0, 0.0], offset));
-            assert_eq!(clipped.has_area(), is_left);
-        }
-    }
-}

@@ -322,14 +322,6 @@ mod tests {
     }
 
     #[test]
-    fn a_displacement_leads_back() {
-        let a = Pose::from_vectors(DVec3::new(1e-3, 2e-3, -4e-3), DVec3::new(0.2, -0.1, 3.0));
-        let (dt, dr) = (DVec3::new(-2e-3, 0.0, 1e-4), DVec3::new(0.3, 0.2, -0.1));
-        let (t, r) = a.perturbed(dt, dr).displacement_from(&a);
-        assert!((t - dt).length() < 1e-17 && (r - dr).length() < 1e-15);
-    }
-
-    #[test]
     fn light_turns_with_the_sine_about_the_axis() {
         let (axis, angle, coefficients) = (DVec3::new(0.36, -0.48, 0.8), 0.7_f64, [0.3, -0.2, 0.5]);
         let turn = |pose: &Pose| Transform::<f64>::of(pose).turn(&coefficients);

@@ -236,39 +236,3 @@ impl<R: Real> SideGradient<R> {
         Self { value, by_side: [zero; 4], by_height: zero, by_axis: R::Vec3::new(zero, zero, zero) }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The spot of a slit of 0.2 × 1 halfway between an emitter at height 1 and a detector of 2 × 0.4: magnified twice.
-    fn spot(x: f64, height: f64) -> (Rectangle<f64>, Status) {
-        let slit = Face { z: 0.5, x: Span::centred(0.0, 0.2), y: Span::centred(0.0, 1.0) };
-        let (spot, visibility) = Rectangle::of_beam([slit], [x, 0.0, height], [1.0, 0.2]);
-        (spot, visibility.status(0))
-    }
-
-    #[test]
-    fn a_spot_is_the_slit_seen_from_the_emitter_and_cut_by_the_detector() {
-        for (x, low, high, status) in [
-            (0.0, -0.2, 0.2, Status::Lit),
-            (0.6, -0.8, -0.4, Status::Lit),
-            (1.0, -1.0, -0.8, Status::Clipped),
-            (-1.0, 0.8, 1.0, Status::Clipped),
-        ] {
-            let (spot, seen) = spot(x, 1.0);
-            assert_eq!(seen, status, "{x}");
-            // Relative to the emitter's foot point.
-            let [[x0, y0], _, [x1, y1], _] = spot.corners();
-            for (value, expected) in [(x0, low - x), (x1, high - x), (y0, -0.2), (y1, 0.2)] {
-                assert!((value - expected).abs() < 1e-15, "{x}: {value} {expected}");
-            }
-        }
-    }
-
-    #[test]
-    fn a_beam_that_misses_is_dark_and_an_emitter_below_the_slit_is_behind_it() {
-        assert_eq!(spot(1.5, 1.0).1, Status::Dark);
-        assert_eq!([0.5, 0.4].map(|height| spot(0.0, height).1), [Status::Behind; 2]);
-    }
-}

@@ -110,52 +110,10 @@
 //!
 //! # Schemas
 //! Every kind as `name:fields`, first the messages, then the commands, each from number 0 on. The keys of a
-//! Hello are hashes of these texts ([`schema`]). Indented lines continue the line before without a
-//! separator. Variants of an enum, `a|b`, are numbered from 0.
+//! Hello are hashes of these texts ([`schema`]). Variants of an enum, `a|b`, are numbered from 0.
 //!
 //! ```text
-//! Hello:protocol{major u8,minor u8},message_keys bytes,command_keys bytes,device_id [u8;12],kind(Physical|
-//!     Simulated),board str,firmware str,reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic|
-//!     StackOverflow),hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,
-//!     saturation_code u16},configuration u16,schedule{tick_hz u32,frame_ticks u32,slots [u16;..17],
-//!     slot_ticks u32,settling_ticks u32,conversion_ticks u32,oversampling u16,cells u8}
-//! Batch:configuration u16,sequence u64,tick u64,levels [u16;..16],samples bytes
-//! Status:tick u64,acquiring bool,scans_taken u64,scans_dropped u64,batches_dropped u32,scans_lost u64,
-//!     adc_overruns u32,replies_dropped u32,commands_damaged u32,commands_rejected u32,supply_v f32,
-//!     temperature_k f32,cpu_load_permille u16,clock(Internal|Crystal|CrystalFailed),settings(Defaults|
-//!     Stored|PassedOver)
-//! Event:tick u64,severity(Info|Warning|Error),text str
-//! Reply:number u16,outcome(Ok|Err(Unsupported{kind u32}|Malformed{kind u32}|Schedule(CellCount{cells u8}|
-//!     Oversampling{oversampling u16}|Zero(TickRate|Frame|Slot|Conversion)|DarkTwice{first_slot u8,
-//!     second_slot u8}|UnknownEmitter{emitter u8,slot u8,cells u8}|LitTwice{emitter u8,first_slot u8,
-//!     second_slot u8}|NeverLit{emitter u8}|SlotTooShort{needed_ticks u64,slot_ticks u32}|
-//!     FrameTooShort{needed_ticks u64,frame_ticks u32})|Levels{levels u8,cells u8}|TickRate{asked_hz u32,
-//!     board_hz u32}|Hardware(Timing|Conversion{asked_ticks u32,nearest_ticks u32}|
-//!     Settling{asked_ticks u32,least_ticks u32}|Oversampling{oversampling u16}|Channels{cells u8,
-//!     channels u8}|Emitters|SharedLevel{first u8,second u8}|Supply|Converters|Counters)|Unsuited(Timing|
-//!     Conversion{asked_ticks u32,nearest_ticks u32}|Settling{asked_ticks u32,least_ticks u32}|
-//!     Oversampling{oversampling u16}|Channels{cells u8,channels u8}|Emitters|SharedLevel{first u8,
-//!     second u8}|Supply|Converters|Counters)|Storing|Storage))
-//! Pong:token u32,tick u64
-//! Truth:sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]
-//! Poses:configuration u16,sequence u64,tick u64,every u8,missed u32,head u32,
-//!     covariance ?[f32;21],records bytes
-//! Edges:number u32,missed u32,edges [u64;..8]
-//! Hello:
-//! Start:
-//! Stop:
-//! Configure:schedule{tick_hz u32,frame_ticks u32,slots [u16;..17],slot_ticks u32,settling_ticks u32,
-//!     conversion_ticks u32,oversampling u16,cells u8},levels [u16;..16],exposure(Fixed|Automatic)
-//! Ping:token u32
-//! Identify:seconds u8
-//! Store:hashes{scene ?u64,calibration ?u64}
-//! Forget:
-//! Reboot:target(Firmware|BootLoader)
-//! Head:offset u16,total u16,bytes [u8;..128]
-//! Stream:scans u16,poses u8
-//! FullScale:full_scale_pa u32
-//! Packet:scans u8
-//! Pulse:every u16,slot u8
+#![doc = include_str!("schemas.txt")]
 //! ```
 //!
 //! # Example

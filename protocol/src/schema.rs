@@ -11,97 +11,17 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-macro_rules! schedule {
-    () => {
-        "{tick_hz u32,frame_ticks u32,slots [u16;..17],slot_ticks u32,\
-         settling_ticks u32,conversion_ticks u32,oversampling u16,cells u8}"
-    };
-}
-
-macro_rules! schedule_error {
-    () => {
-        "CellCount{cells u8}|Oversampling{oversampling u16}\
-         |Zero(TickRate|Frame|Slot|Conversion)\
-         |DarkTwice{first_slot u8,second_slot u8}\
-         |UnknownEmitter{emitter u8,slot u8,cells u8}\
-         |LitTwice{emitter u8,first_slot u8,second_slot u8}|NeverLit{emitter u8}\
-         |SlotTooShort{needed_ticks u64,slot_ticks u32}\
-         |FrameTooShort{needed_ticks u64,frame_ticks u32}"
-    };
-}
-
-macro_rules! hardware_fault {
-    () => {
-        "Timing|Conversion{asked_ticks u32,nearest_ticks u32}\
-         |Settling{asked_ticks u32,least_ticks u32}|Oversampling{oversampling u16}\
-         |Channels{cells u8,channels u8}|Emitters|SharedLevel{first u8,second u8}|Supply\
-         |Converters|Counters"
-    };
-}
+/// `name:fields` of every kind, one a line: first the messages, then the commands.
+const LIST: &str = include_str!("schemas.txt");
 
 /// Number of [`Message::Hello`](crate::Message::Hello) on the wire.
 pub(crate) const HELLO_KIND: u32 = 0;
 
 /// Kinds of [`Message`](crate::Message); the index is the number on the wire.
-pub const MESSAGES: [Schema; 9] = [
-    Schema::new(
-        "Hello",
-        concat!(
-            "protocol{major u8,minor u8},message_keys bytes,command_keys bytes,\
-             device_id [u8;12],kind(Physical|Simulated),board str,firmware str,\
-             reset_cause(Unknown|PowerOn|BrownOut|Pin|Software|Watchdog|Panic|StackOverflow),\
-             hashes{scene ?u64,calibration ?u64},scaling{zero_code f64,amperes_per_code f64,bits u8,\
-             saturation_code u16},configuration u16,schedule",
-            schedule!()
-        ),
-    ),
-    Schema::new("Batch", "configuration u16,sequence u64,tick u64,levels [u16;..16],samples bytes"),
-    Schema::new(
-        "Status",
-        "tick u64,acquiring bool,scans_taken u64,scans_dropped u64,batches_dropped u32,\
-         scans_lost u64,adc_overruns u32,replies_dropped u32,commands_damaged u32,\
-         commands_rejected u32,supply_v f32,temperature_k f32,cpu_load_permille u16,\
-         clock(Internal|Crystal|CrystalFailed),settings(Defaults|Stored|PassedOver)",
-    ),
-    Schema::new("Event", "tick u64,severity(Info|Warning|Error),text str"),
-    Schema::new(
-        "Reply",
-        concat!(
-            "number u16,outcome(Ok|Err(Unsupported{kind u32}|Malformed{kind u32}|Schedule(",
-            schedule_error!(),
-            ")|Levels{levels u8,cells u8}|TickRate{asked_hz u32,board_hz u32}|Hardware(",
-            hardware_fault!(),
-            ")|Unsuited(",
-            hardware_fault!(),
-            ")|Storing|Storage))"
-        ),
-    ),
-    Schema::new("Pong", "token u32,tick u64"),
-    Schema::new("Truth", "sequence u64,translation_m [f64;3],rotation_xyzw [f64;4]"),
-    Schema::new(
-        "Poses",
-        "configuration u16,sequence u64,tick u64,every u8,missed u32,head u32,covariance ?[f32;21],records bytes",
-    ),
-    Schema::new("Edges", "number u32,missed u32,edges [u64;..8]"),
-];
+pub const MESSAGES: [Schema; 9] = listed(0);
 
 /// Kinds of [`Command`](crate::Command); the index is the number on the wire.
-pub const COMMANDS: [Schema; 14] = [
-    Schema::new("Hello", ""),
-    Schema::new("Start", ""),
-    Schema::new("Stop", ""),
-    Schema::new("Configure", concat!("schedule", schedule!(), ",levels [u16;..16],exposure(Fixed|Automatic)")),
-    Schema::new("Ping", "token u32"),
-    Schema::new("Identify", "seconds u8"),
-    Schema::new("Store", "hashes{scene ?u64,calibration ?u64}"),
-    Schema::new("Forget", ""),
-    Schema::new("Reboot", "target(Firmware|BootLoader)"),
-    Schema::new("Head", "offset u16,total u16,bytes [u8;..128]"),
-    Schema::new("Stream", "scans u16,poses u8"),
-    Schema::new("FullScale", "full_scale_pa u32"),
-    Schema::new("Packet", "scans u8"),
-    Schema::new("Pulse", "every u16,slot u8"),
-];
+pub const COMMANDS: [Schema; 14] = listed(MESSAGES.len());
 
 const KEY_BYTES: usize = size_of::<u64>();
 static MESSAGE_KEYS: [u8; MESSAGES.len() * KEY_BYTES] = key_bytes(&MESSAGES);
@@ -118,18 +38,36 @@ pub struct Schema {
     pub key: u64,
 }
 
-impl Schema {
-    const fn new(name: &'static str, fields: &'static str) -> Self {
-        const OFFSET_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
-        let hash = fnv_1a(fnv_1a(OFFSET_BASIS, name.as_bytes()), b":");
-        Self { name, fields, key: fnv_1a(hash, fields.as_bytes()) }
+/// The kinds in the lines of the list from number `first` on.
+const fn listed<const N: usize>(first: usize) -> [Schema; N] {
+    let mut schemas = [Schema { name: "", fields: "", key: 0 }; N];
+    let (mut rest, mut number) = (LIST, 0);
+    while number < first + N {
+        let (line, after) = cut(rest, b'\n');
+        if number >= first {
+            let (name, fields) = cut(line, b':');
+            schemas[number - first] = Schema { name, fields, key: fnv_1a(line.as_bytes()) };
+        }
+        (rest, number) = (after, number + 1);
     }
+    schemas
 }
 
-/// Continues a 64-bit FNV-1a hash (Fowler, Noll, Vo; RFC 9923) over `bytes`.
-const fn fnv_1a(mut hash: u64, bytes: &[u8]) -> u64 {
+/// `text` before and after the first `separator`.
+const fn cut(text: &str, separator: u8) -> (&str, &str) {
+    let mut end = 0;
+    while text.as_bytes()[end] != separator {
+        end += 1;
+    }
+    let (before, after) = text.split_at(end);
+    (before, after.split_at(1).1)
+}
+
+/// The 64-bit FNV-1a hash of `bytes` (Fowler, Noll, Vo; RFC 9923).
+const fn fnv_1a(bytes: &[u8]) -> u64 {
+    const OFFSET_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
     const PRIME: u64 = 0x0000_0100_0000_01b3;
-    let mut i = 0;
+    let (mut hash, mut i) = (OFFSET_BASIS, 0);
     while i < bytes.len() {
         hash = (hash ^ bytes[i] as u64).wrapping_mul(PRIME);
         i += 1;

@@ -9,7 +9,7 @@
 use heapless::Vec;
 
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon};
-use crate::profile::{Emission, Falloff, Series};
+use crate::profile::{CompiledProfile, Emission, Falloff, Series};
 use crate::scalar::{Linear3, Number, Real};
 
 use super::order::{MAX_NODES, Nodes, Orders, Rules};
@@ -71,17 +71,17 @@ impl<S: Number> Sums<S> {
     }
 }
 
-pub struct Integrand<'a, S: Number, E> {
+pub struct Integrand<'a, S: Number> {
     pub axis: S::Vec3,
     pub height: S,
-    pub emission: &'a E,
+    pub emission: &'a CompiledProfile<S>,
     pub orders: &'a Orders<S>,
     pub rules: &'a Rules<S>,
     /// Direction of t in the detector plane; s is at right angles.
     along_t: [S; 2],
     /// Whether t runs perpendicular to the horizon, so that u·d does not depend on s.
     pub across_horizon: bool,
-    /// Factor of cos γ in the argument of the profile; see [`Emission::rescaling`].
+    /// Factor of cos γ in the argument of the profile; see [`CompiledProfile::rescaling`].
     pub unit: S,
     /// The cone outside which a narrow lobe has faded, with s and t as its directions in the plane.
     pub cone: Option<Cone<S>>,
@@ -120,10 +120,10 @@ pub type LightAndTurn<S> = (PolygonLight<S>, Turn<S>);
 
 /// The light on `polygon` with derivatives with respect to the emitter and to a turn of the sides that ride with it,
 /// `None` if none is found; and the cost and accuracy of the integrals.
-pub fn polygon_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
+pub fn polygon_light<S: Number, const GRADIENT: bool>(
     mut polygon: Polygon<S>,
     axis: S::Vec3,
-    method: &Method<'_, S, E>,
+    method: &Method<'_, S>,
 ) -> (Option<LightAndTurn<S>>, Integration<S>) {
     let nothing = (None, Integration { evaluations: 0, relative_error: method.orders.tolerance() });
     if !polygon.clip_horizon(axis) {
@@ -135,7 +135,7 @@ pub fn polygon_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
         return nothing;
     }
     let integrand = Integrand::new(&polygon, axis, method, divisor.recip());
-    let (mut sums, integration) = panels::add_all::<S, E, GRADIENT>(&integrand, &integrand.slabs(&polygon));
+    let (mut sums, integration) = panels::add_all::<S, GRADIENT>(&integrand, &integrand.slabs(&polygon));
     let total = sums.power.value;
     if total.is_nan() || total <= S::zero() {
         return (None, integration);
@@ -157,8 +157,8 @@ fn corner_cosine<S: Number>(polygon: &Polygon<S>, axis: S::Vec3) -> S {
     cosines.fold(S::zero(), S::max)
 }
 
-impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
-    fn new(polygon: &Polygon<S>, axis: S::Vec3, method: &Method<'a, S, E>, unit: S) -> Self {
+impl<'a, S: Number> Integrand<'a, S> {
+    fn new(polygon: &Polygon<S>, axis: S::Vec3, method: &Method<'a, S>, unit: S) -> Self {
         let height = polygon.height();
         let (mut least, mut brightest) = (S::infinity(), S::zero());
         for &[x, y] in polygon.corners() {
@@ -187,7 +187,7 @@ impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
 
     /// Of a spot that is not divided, with moments about a `place` in it, relative to the emitter.
     #[inline(always)]
-    pub fn undivided(place: S::Vec3, axis: S::Vec3, method: &Method<'a, S, E>) -> Self {
+    pub fn undivided(place: S::Vec3, axis: S::Vec3, method: &Method<'a, S>) -> Self {
         let Method { emission, orders, rules } = *method;
         let (height, reference, more) = (-place.z(), place.x(), usize::from(place.length() > orders.far()));
         let (along_t, across_horizon, unit, cone, size) = ([S::zero(), S::one()], false, S::one(), None, S::zero());
@@ -258,14 +258,15 @@ impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
             let count = (self.orders.nodes(reach, horizon)? + self.more).min(MAX_NODES);
             let _ = (nodes.push(count), lines.push([reach, difference]));
         }
-        if !E::NEEDS_SERIES && !self.orders.is_narrow() {
+        if !self.emission.needs_series() && !self.orders.is_narrow() {
             return Some((nodes, None));
         }
         let cosines = Cosines::<S>::of(corners, self.axis);
         if cosines.middle <= S::zero() {
             return None;
         }
-        let series = if E::NEEDS_SERIES { Some(self.emission.near(cosines.middle, cosines.spread())?) } else { None };
+        let needs_series = self.emission.needs_series();
+        let series = if needs_series { Some(self.emission.near(cosines.middle, cosines.spread())?) } else { None };
         for (count, &[reach, difference]) in nodes.iter_mut().zip(&lines) {
             // The line subtends 2/reach radians.
             let slope = S::half() * difference * reach / cosines.middle;
@@ -284,7 +285,7 @@ impl<'a, S: Number, E: Emission<S>> Integrand<'a, S, E> {
     pub fn horizon_rule(&self, [low, high]: [S; 2], reach: S) -> Option<Nodes<'_, S>> {
         let (share, roundings) = AT_HORIZON;
         let zero = (S::of(share) * self.orders.tolerance()).max(S::of(roundings) * S::epsilon());
-        if E::NEEDS_SERIES || low > zero * high {
+        if self.emission.needs_series() || low > zero * high {
             return None;
         }
         self.orders.horizon_rule(reach)

@@ -23,8 +23,8 @@ use rectangle::Reaches;
 
 use crate::polygon::Polygon;
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-use crate::profile::{CompiledProfile, MAX_TERMS};
-use crate::profile::{Emission, Series};
+use crate::profile::MAX_TERMS;
+use crate::profile::{CompiledProfile, Emission, Series};
 use crate::rectangle::{Rectangle, RectangleLight};
 use crate::response::Integration;
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
@@ -32,8 +32,8 @@ use crate::scalar::Real;
 use crate::scalar::{Linear3, Number};
 
 /// What a light is integrated with: the profile, the numbers of nodes that it takes, and the rules of so many.
-pub struct Method<'a, S, E> {
-    pub emission: &'a E,
+pub struct Method<'a, S> {
+    pub emission: &'a CompiledProfile<S>,
     pub orders: &'a Orders<S>,
     pub rules: &'a Rules<S>,
 }
@@ -62,10 +62,10 @@ pub fn is_wholly_in_front<S: Number>(spot: &Rectangle<S>, axis: S::Vec3) -> bool
 /// Power and centroid of a rectangular spot by one tensor rule, and the rule's number of nodes; `None`
 /// if the spot must be divided.
 #[inline(always)]
-pub fn rectangle_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
+pub fn rectangle_light<S: Number, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     axis: S::Vec3,
-    method: &Method<'_, S, E>,
+    method: &Method<'_, S>,
 ) -> Option<(RectangleLight<S>, usize)> {
     let reaches = Reaches::of(spot, axis);
     let rule = rule(method.emission, method.orders, &reaches, |along| reaches.slope(spot, axis, along))?;
@@ -82,20 +82,20 @@ pub fn rectangle_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
 /// The light of a rectangular spot that one tensor rule cannot integrate: see [`Polygon::of_rectangle`].
 #[cold]
 #[inline(never)]
-pub fn divided_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
+pub fn divided_light<S: Number, const GRADIENT: bool>(
     spot: &Rectangle<S>,
     motions: impl FnOnce() -> [S::Vec3; 4],
     axis: S::Vec3,
-    method: &Method<'_, S, E>,
+    method: &Method<'_, S>,
 ) -> (Option<LightAndTurn<S>>, Integration<S>) {
-    polygon_light::<S, E, GRADIENT>(Polygon::of_rectangle(spot, motions()), axis, method)
+    polygon_light::<S, GRADIENT>(Polygon::of_rectangle(spot, motions()), axis, method)
 }
 
 /// The tensor rule for a spot that lies as `reaches` tells; `None` if the spot must be divided. `slope`: see
 /// [`Reaches::slope`].
 #[inline(always)]
-fn rule<S: Number, E: Emission<S>>(
-    emission: &E,
+fn rule<S: Number>(
+    emission: &CompiledProfile<S>,
     orders: &Orders<S>,
     reaches: &Reaches<S>,
     slope: impl Fn(usize) -> S,
@@ -106,7 +106,7 @@ fn rule<S: Number, E: Emission<S>>(
             let nodes = nodes.map(|count| series.nodes_with(count));
             (nodes[0].max(nodes[1]) <= MAX_NODES).then_some(Rule { nodes, series: Some(series) })
         }
-        None if E::NEEDS_SERIES => None,
+        None if emission.needs_series() => None,
         None => Some(Rule { nodes, series: None }),
     }
 }
@@ -121,23 +121,6 @@ pub struct Rule<S> {
 #[inline(always)]
 fn least_power<S: Number>() -> S {
     S::min_positive_value() / (S::epsilon() * S::epsilon())
-}
-
-/// [`rule`] of `profile`.
-#[cfg(all(feature = "lanes", target_arch = "x86_64"))]
-#[inline(always)]
-fn rule_of(
-    profile: &CompiledProfile<f64>,
-    orders: &Orders<f64>,
-    reaches: &Reaches<f64>,
-    slope: impl Fn(usize) -> f64,
-) -> Option<Rule<f64>> {
-    match profile {
-        CompiledProfile::Cosine(cosine) => rule(cosine, orders, reaches, slope),
-        CompiledProfile::Table(table) => rule(table, orders, reaches, slope),
-        CompiledProfile::ShapedCosine(shaped) => rule(shaped, orders, reaches, slope),
-        CompiledProfile::ShapedTable(shaped) => rule(shaped, orders, reaches, slope),
-    }
 }
 
 /// [`rectangle_light`] of the spot of each lane by the rule of that lane's `profile`; the power is NaN where there is none,
@@ -158,7 +141,7 @@ pub fn rectangle_light_lanes<'a, R: Real<Element = f64>, const GRADIENT: bool>(
     for lane in 0..R::LANES {
         let Some((profile, orders)) = profile(lane) else { continue };
         let slope = |along: usize| reaches.slope(spot, axis, along).lane(lane);
-        let rule = rule_of(profile, orders, &reaches.lane(lane), slope);
+        let rule = rule(profile, orders, &reaches.lane(lane), slope);
         let Some(Rule { nodes: counts, series: Some(series) }) = rule else { continue };
         for (along, count) in counts.into_iter().enumerate() {
             nodes[along][lane] = count;

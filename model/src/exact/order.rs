@@ -385,18 +385,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rules_integrate_polynomials_exactly() {
-        let rules = Rules::<f64>::new();
-        for count in 1..=MAX_NODES {
-            for degree in 0..2 * count {
-                let sum: f64 = rules.get(count).map(|(x, w)| w * x.powi(degree as i32)).sum();
-                let exact = if degree % 2 == 0 { 2.0 / (degree as f64 + 1.0) } else { 0.0 };
-                assert!((sum - exact).abs() < 4e-15, "{count} nodes, degree {degree}: {sum}");
-            }
-        }
-    }
-
-    #[test]
     fn the_rule_from_the_horizon_integrates_powers_times_polynomials_exactly() {
         for exponent in [0.05, 0.5, 1.0, 1.247, 2.5, 4.0] {
             let [nodes, weights] = horizon_rule::<f64>(exponent);
@@ -407,16 +395,6 @@ mod tests {
                 let exact = 2.0_f64.powf(power + 1.0) / (power + 1.0);
                 assert!((sum / exact - 1.0).abs() < 2e-13, "{exponent}, degree {degree}: {sum} for {exact}");
             }
-        }
-    }
-
-    #[test]
-    fn tighter_tolerances_never_take_fewer_nodes() {
-        let (loose, tight) = (Orders::<f64>::new(1.247, 1e-6, 12e-3), Orders::<f64>::new(1.247, 1e-10, 12e-3));
-        for i in 1..200 {
-            let s = 1.0 + f64::from(i) * 0.2;
-            let nodes = |orders: &Orders<f64>| orders.nodes(s, s).unwrap_or(MAX_NODES + 1);
-            assert!(nodes(&loose) <= nodes(&tight));
         }
     }
 }

@@ -68,13 +68,15 @@ struct Measured<S> {
     evaluations: usize,
 }
 
-pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
-    integrand: &Integrand<'_, S, E>,
+pub fn add_all<S: Number, const GRADIENT: bool>(
+    integrand: &Integrand<'_, S>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
     let tolerance = integrand.orders.tolerance();
     let is_narrow = integrand.orders.is_narrow();
-    'divisions: for parts in if E::NEEDS_SERIES || is_narrow { &DIVISIONS[..] } else { &DIVISIONS[..1] } {
+    'divisions: for parts in
+        if integrand.emission.needs_series() || is_narrow { &DIVISIONS[..] } else { &DIVISIONS[..1] }
+    {
         let (mut sums, mut evaluations) = (Sums::default(), 0);
         for panel in (0..slabs.len()).flat_map(|slab| integrand.lit(whole(slabs, slab), slabs).parts(*parts)) {
             let slab = &slabs[panel.slab];
@@ -87,7 +89,7 @@ pub fn add_all<S: Number, E: Emission<S>, const GRADIENT: bool>(
         }
         return (sums, Integration { evaluations, relative_error: tolerance });
     }
-    divide::<S, E, GRADIENT>(integrand, slabs)
+    divide::<S, GRADIENT>(integrand, slabs)
 }
 
 fn whole<S: Number>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
@@ -97,8 +99,8 @@ fn whole<S: Number>(slabs: &[Slab<S>], slab: usize) -> Panel<S> {
 /// Sums over all slabs where no rule is known beforehand to suffice: the panel with the largest error is
 /// halved until the sum of the errors is small. Not inlined: its panels take kilobytes of stack.
 #[inline(never)]
-fn divide<S: Number, E: Emission<S>, const GRADIENT: bool>(
-    integrand: &Integrand<'_, S, E>,
+fn divide<S: Number, const GRADIENT: bool>(
+    integrand: &Integrand<'_, S>,
     slabs: &Vec<Slab<S>, MAX_CORNERS>,
 ) -> (Sums<S>, Integration<S>) {
     let tolerance = integrand.orders.tolerance();
@@ -183,7 +185,7 @@ impl<S: Number> Measured<S> {
     }
 }
 
-impl<S: Number, E: Emission<S>> Integrand<'_, S, E> {
+impl<S: Number> Integrand<'_, S> {
     /// Rays to the corners of a panel, in order around it.
     fn corners(&self, slab: &Slab<S>, panel: &Panel<S>) -> [S::Vec3; 4] {
         let ([c0, c1], [t0, t1]) = (panel.share, panel.t);

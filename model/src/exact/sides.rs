@@ -18,8 +18,8 @@ const MAX_PIECES: usize = 64;
 const NEGLIGIBLE: f64 = 0.01;
 
 /// Adds the light that the side from `a` to `b` sweeps over. `power`: power of the whole spot.
-pub fn add<S: Number, E: Emission<S>>(
-    integrand: &Integrand<'_, S, E>,
+pub fn add<S: Number>(
+    integrand: &Integrand<'_, S>,
     line: &Line<S>,
     a: [S; 2],
     b: [S; 2],
@@ -51,15 +51,15 @@ fn in_front<S: Number, F: Falloff<S>>(falloff: &F, c: S) -> S {
     if c > S::zero() { falloff.relative(c) } else { S::zero() }
 }
 
-struct Side<'a, 'b, S: Number, E> {
-    integrand: &'a Integrand<'b, S, E>,
+struct Side<'a, 'b, S: Number> {
+    integrand: &'a Integrand<'b, S>,
     line: &'a Line<S>,
     a: [S; 2],
     b: [S; 2],
     at_horizon: S,
 }
 
-impl<S: Number, E: Emission<S>> Side<'_, '_, S, E> {
+impl<S: Number> Side<'_, '_, S> {
     fn at(&self, share: S) -> S::Vec3 {
         let ([ax, ay], [bx, by]) = (self.a, self.b);
         S::Vec3::new(ax + share * (bx - ax), ay + share * (by - ay), -self.integrand.height)

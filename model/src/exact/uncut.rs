@@ -5,7 +5,7 @@
 //! nodes, and along a moving side the light that it sweeps over. A rule is chosen as for the rectangle around the spot;
 //! where none is exact enough, the spot is divided.
 
-use crate::profile::{Emission, Falloff};
+use crate::profile::Falloff;
 use crate::rectangle::Rectangle;
 use crate::response::Integration;
 use crate::scalar::{Linear3, Number};
@@ -77,10 +77,10 @@ impl<S: Number> Strip<S> {
 }
 
 /// The light of a `strip`; `None` if it must be divided.
-pub fn strip_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
+pub fn strip_light<S: Number, const GRADIENT: bool>(
     strip: &Strip<S>,
     axis: S::Vec3,
-    method: &Method<'_, S, E>,
+    method: &Method<'_, S>,
 ) -> Option<(LightAndTurn<S>, Integration<S>)> {
     let [[low0, high0], [low1, high1]] = strip.y.map(|y| strip.x(y));
     let around = Rectangle::between([low0.min(low1), high0.max(high1)], strip.y, strip.height);
@@ -99,12 +99,12 @@ pub fn strip_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
 
 /// The light through a `disc` whose middle is at `to_middle` from the emitter, `magnified` on the detector; `None` if it must
 /// be divided.
-pub fn disc_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
+pub fn disc_light<S: Number, const GRADIENT: bool>(
     disc: &Disc<S>,
     to_middle: S::Vec3,
     magnified: S,
     axis: S::Vec3,
-    method: &Method<'_, S, E>,
+    method: &Method<'_, S>,
 ) -> Option<(LightAndTurn<S>, Integration<S>)> {
     let (x, y, height, radius) = (to_middle.x(), to_middle.y(), -to_middle.z(), disc.corners[0].x());
     let around = Rectangle::between([x - radius, x + radius], [y - radius, y + radius], height);
@@ -125,7 +125,7 @@ pub fn disc_light<S: Number, E: Emission<S>, const GRADIENT: bool>(
     integrand.conclude(sums, CIRCLE_CORNERS + 1)
 }
 
-impl<S: Number, E: Emission<S>> Integrand<'_, S, E> {
+impl<S: Number> Integrand<'_, S> {
     fn over_strip<F: Falloff<S>, const GRADIENT: bool>(
         &self,
         falloff: &F,

@@ -70,16 +70,16 @@ struct View<'a> {
 
 impl<'a> View<'a> {
     /// `None`: the cell is evaluated alone.
-    fn of(plan: &'a CompiledScene<f64>, cell: &'a CompiledCell<f64>) -> Option<Self> {
-        let effects = match (&cell.aperture, plan.imperfect_of(cell)) {
-            (Aperture::Thin(_) | Aperture::Thick(..), _) => None,
-            (Aperture::Turned(_), _) | (Aperture::Imperfect(_), None) => return None,
-            (Aperture::Imperfect(_), Some(imperfect)) => match &imperfect.passage {
+    fn of(cell: &'a CompiledCell<f64>) -> Option<Self> {
+        let effects = match (&cell.imperfect, &cell.aperture) {
+            (Some(imperfect), _) => match &imperfect.passage {
                 Passage::Beam(beam) if imperfect.source.radius <= 0.0 && imperfect.lit_together == 0 => {
                     Some((imperfect, beam))
                 }
                 _ => return None,
             },
+            (None, Aperture::Turned(_)) => return None,
+            (None, Aperture::Thin(_) | Aperture::Thick(..)) => None,
         };
         Some(Self { cell, effects })
     }
@@ -201,7 +201,7 @@ impl<I: Simd> Path<Lanes<I>> {
         let faces = views.iter().map(|view| match &view.cell.aperture {
             Aperture::Thin(face) => Some([face; 2]),
             Aperture::Thick(lower, upper) => Some([lower, upper]),
-            Aperture::Turned(_) | Aperture::Imperfect(_) => None,
+            Aperture::Turned(_) => None,
         });
         let faces: Vec<_> = faces.collect::<Option<_>>()?;
         let lower = Gathered::gather(like, |lane| faces[lane][0]);
@@ -295,7 +295,7 @@ impl CellsAtOnce<f64> for CellsInLanes {
 impl<I: Simd> Packs<I> {
     /// `None` if the cells of `plan` are not of one kind.
     fn of(plan: &CompiledScene<f64>, simd: I) -> Option<Self> {
-        let views: Vec<_> = plan.cells.iter().map(|cell| View::of(plan, cell)).collect::<Option<_>>()?;
+        let views: Vec<_> = plan.cells.iter().map(View::of).collect::<Option<_>>()?;
         let kind = views.first()?.kind();
         if plan.is_paper || views.iter().any(|view| view.kind() != kind) {
             return None;

@@ -101,7 +101,9 @@ impl<S: Number> CompactCell<S> {
     /// The same cell, which is that `of_scene` and has the profile `exact`; or what it has that has no place here.
     fn of(cell: &CompiledCell<S>, of_scene: &Cell, exact: &CompiledProfile<f64>) -> Result<Self, &'static str> {
         let kind = match (&cell.aperture, cell.emitter.profile.as_power()) {
-            (Aperture::Thin(face), Some(profile)) => Kind::Ideal(Ideal { face: *face, profile: profile.clone() }),
+            (Aperture::Thin(face), Some(profile)) if cell.imperfect.is_none() => {
+                Kind::Ideal(Ideal { face: *face, profile: profile.clone() })
+            }
             _ => Kind::Imperfect(CompactImperfect::of(of_scene, exact)?),
         };
         Ok(Self { receiver: cell.receiver.clone(), source: cell.emitter.source.clone(), kind })

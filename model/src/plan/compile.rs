@@ -6,10 +6,9 @@ use glam::DVec3;
 use crate::aperture::Aperture;
 use crate::effects::{Effects, Opening, RADIAL_TERMS};
 use crate::exact::Orders;
-use crate::list::List;
 use crate::profile::CompiledProfile;
 use crate::scalar::{Number, Vector3};
-use crate::scene::{Cell, Detector, Emitter, Fault, MAX_CELLS, Place, Profile, Scene, SceneError, Slit};
+use crate::scene::{Cell, Detector, Emitter, Fault, Place, Profile, Scene, SceneError, Slit};
 
 use super::imperfect::Imperfect;
 use super::optics::{Receiver, Source};
@@ -83,35 +82,28 @@ impl Check {
     }
 }
 
+/// The cells of `scene`, as a list with room for as many as any scene has.
 #[inline(never)]
-pub fn fill<S: Number>(
-    cells: &mut List<CompiledCell<S>, MAX_CELLS>,
-    imperfect: &mut List<Imperfect<S>, MAX_CELLS>,
-    scene: &Scene,
-    tier: Tier,
-) -> Result<(), SceneError> {
+pub fn cells<S: Number, L: FromIterator<CompiledCell<S>>>(scene: &Scene, tier: Tier) -> Result<L, SceneError> {
     let of_scene = Check { cell: None, section: "cell" };
     if scene.cells.is_empty() {
         return Err(of_scene.fault("detector_mm", Fault::NoCells));
     }
     check_noise(scene)?;
-    for (index, cell) in scene.cells.iter().enumerate() {
-        let mut compiled = compile_cell(index, cell, tier)?;
-        if let Some(effects) = cell.acting_effects() {
-            check_effects(index, effects)?;
-            check_opening(index, cell, effects)?;
-            let turned = Check { cell: Some(index), section: "slit" };
-            let tilt = cell.slit.tilt_rad.length().to_degrees();
-            let effects =
-                Imperfect::compile(cell, effects).ok_or(turned.fault("tilt_deg", Fault::TurnedWithEffects(tilt)))?;
-            compiled.aperture = Aperture::Imperfect(imperfect.len());
-            // There are no more of them than cells.
-            let _ = imperfect.push(effects);
-        }
-        // `cells` has the capacity of the scene's own list.
-        let _ = cells.push(compiled);
-    }
-    Ok(())
+    let cell = |(index, cell): (usize, &Cell)| {
+        let compiled = compile_cell(index, cell, tier)?;
+        let imperfect = cell.acting_effects().map(|effects| compile_effects(index, cell, effects)).transpose()?;
+        Ok(CompiledCell { imperfect, ..compiled })
+    };
+    scene.cells.iter().enumerate().map(cell).collect()
+}
+
+fn compile_effects<S: Number>(index: usize, cell: &Cell, effects: &Effects) -> Result<Imperfect<S>, SceneError> {
+    check_effects(index, effects)?;
+    check_opening(index, cell, effects)?;
+    let turned = Check { cell: Some(index), section: "slit" };
+    let tilt = cell.slit.tilt_rad.length().to_degrees();
+    Imperfect::compile(cell, effects).ok_or(turned.fault("tilt_deg", Fault::TurnedWithEffects(tilt)))
 }
 
 fn check_noise(scene: &Scene) -> Result<(), SceneError> {
@@ -162,6 +154,7 @@ fn compile_cell<S: Number>(index: usize, cell: &Cell, tier: Tier) -> Result<Comp
             dark: S::of(cell.detector.dark_current_a),
         },
         aperture: Aperture::compile(&cell.slit),
+        imperfect: None,
         emitter: CompiledEmitter {
             source: Source {
                 position: vector(cell.emitter.position_tool_m),

@@ -8,7 +8,6 @@ use crate::exact::{self, Method, Orders, PolygonLight};
 use crate::paper;
 use crate::polygon::{EmitterGradient, MAX_CORNERS, Polygon, fan_solid_angle};
 use crate::pose::Transform;
-use crate::profile::{CompiledProfile, Emission};
 use crate::rectangle::Rectangle;
 use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Number};
@@ -28,11 +27,8 @@ impl<S: Number> CompiledCell<S> {
                 return Polygon::of_beam(slit, e, half)
                     .map(|(polygon, status)| (Spot::Polygon(polygon), status, S::zero()));
             }
-            // Those have spots of their own.
-            Aperture::Imperfect(_) => return Err(Status::Dark),
         };
-        let status = verdict.status(0);
-        if status.has_spot() { Ok((Spot::Rectangle(rectangle), status, verdict.slack_m(0))) } else { Err(status) }
+        verdict.spot().map(|status| (Spot::Rectangle(rectangle), status, verdict.slack_m(0)))
     }
 }
 
@@ -44,15 +40,14 @@ enum Spot<S: Number> {
 
 /// The light of a spot, if any, and the cost and accuracy of its integrals, if any.
 #[inline(always)]
-fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+fn light<S: Scalar, const GRADIENT: bool>(
     plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     emitter: &CompiledEmitter<S>,
-    emission: &E,
     seen: &Seen<S>,
     spot: &Spot<S>,
 ) -> (Option<Light<S>>, Option<Integration<S>>) {
-    let axis = seen.axis;
+    let (axis, emission) = (seen.axis, &emitter.profile);
     if let Spot::Rectangle(rectangle) = spot
         && emitter.orders.is_some()
         && exact::faces_away(rectangle, axis)
@@ -62,22 +57,22 @@ fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
     let (found, integration) = match (&emitter.orders, &plan.rules, spot) {
         (Some(orders), Some(rules), Spot::Rectangle(rectangle)) => {
             let method = Method { emission, orders, rules };
-            if let Some((light, evaluations)) = exact::rectangle_light::<S, E, GRADIENT>(rectangle, axis, &method) {
+            if let Some((light, evaluations)) = exact::rectangle_light::<S, GRADIENT>(rectangle, axis, &method) {
                 let integration = Integration { evaluations, relative_error: orders.tolerance() };
                 return (Some(of_sides::<S, GRADIENT>(&light, rectangle, true)), Some(integration));
             }
-            exact::divided_light::<S, E, GRADIENT>(rectangle, || rectangle.motions(), axis, &method)
+            exact::divided_light::<S, GRADIENT>(rectangle, || rectangle.motions(), axis, &method)
         }
         (Some(orders), Some(rules), Spot::Polygon(polygon)) => {
             let method = Method { emission, orders, rules };
-            exact::polygon_light::<S, E, GRADIENT>(polygon.clone(), axis, &method)
+            exact::polygon_light::<S, GRADIENT>(polygon.clone(), axis, &method)
         }
         (_, _, Spot::Rectangle(rectangle)) => {
-            let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, axis, emission);
+            let light = paper::rectangle_light::<S, _, GRADIENT>(rectangle, axis, emission);
             return (Some(of_sides::<S, GRADIENT>(&light, rectangle, false)), None);
         }
         (_, _, Spot::Polygon(polygon)) => {
-            let light = paper::polygon_light::<S, E, GRADIENT>(polygon, axis, emission, cell.aperture.skew());
+            let light = paper::polygon_light::<S, _, GRADIENT>(polygon, axis, emission, cell.aperture.skew());
             return (Some(weighted(light, seen)), None);
         }
     };
@@ -89,42 +84,9 @@ fn weighted<S: Number>((power, centroid): PolygonLight<S>, seen: &Seen<S>) -> Li
     Light { power, x_a: Place::Weighted(x_a) }
 }
 
-impl<S: Scalar> CompiledEmitter<S> {
-    #[inline(always)]
-    fn light_on<const GRADIENT: bool>(
-        &self,
-        plan: &CompiledScene<S>,
-        cell: &CompiledCell<S>,
-        seen: &Seen<S>,
-        spot: &Spot<S>,
-    ) -> (Option<Light<S>>, Option<Integration<S>>) {
-        match &self.profile {
-            CompiledProfile::Cosine(cosine) => light::<S, _, GRADIENT>(plan, cell, self, cosine, seen, spot),
-            CompiledProfile::Table(table) => light_apart::<S, _, GRADIENT>(plan, cell, self, table, seen, spot),
-            CompiledProfile::ShapedCosine(shaped) => {
-                light_apart::<S, _, GRADIENT>(plan, cell, self, shaped, seen, spot)
-            }
-            CompiledProfile::ShapedTable(shaped) => light_apart::<S, _, GRADIENT>(plan, cell, self, shaped, seen, spot),
-        }
-    }
-}
-
-/// [`light`], apart: so that the code for the commonest profile stays short.
-#[inline(never)]
-fn light_apart<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
-    plan: &CompiledScene<S>,
-    cell: &CompiledCell<S>,
-    emitter: &CompiledEmitter<S>,
-    emission: &E,
-    seen: &Seen<S>,
-    spot: &Spot<S>,
-) -> (Option<Light<S>>, Option<Integration<S>>) {
-    light::<S, E, GRADIENT>(plan, cell, emitter, emission, seen, spot)
-}
-
 pub fn photocurrents<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Pair<S> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::photocurrents(plan, cell, imperfect, base_from_tool);
     }
     photocurrents_of(plan, cell, &cell.emitter, base_from_tool)
@@ -141,7 +103,7 @@ fn photocurrents_of<S: Scalar>(
     let Ok((spot, ..)) = cell.spot(&seen) else {
         return Pair::default();
     };
-    match emitter.light_on::<false>(plan, cell, &seen, &spot).0 {
+    match light::<S, false>(plan, cell, emitter, &seen, &spot).0 {
         Some(light) => {
             let photocurrent = cell.receiver.responsivity * emitter.source.intensity * light.power.value;
             let [i_x1_a, i_x2_a] = cell.receiver.divide(photocurrent, light.x_a.value(), plan.is_paper);
@@ -154,7 +116,7 @@ fn photocurrents_of<S: Scalar>(
 #[inline(never)]
 pub fn linearise<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> CellTerms<S> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::linearise(plan, cell, imperfect, base_from_tool);
     }
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
@@ -162,7 +124,7 @@ pub fn linearise<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool
         Ok(spot) => spot,
         Err(status) => return CellTerms::dark(status),
     };
-    let Some(light) = cell.emitter.light_on::<true>(plan, cell, &seen, &spot).0 else {
+    let Some(light) = light::<S, true>(plan, cell, &cell.emitter, &seen, &spot).0 else {
         return CellTerms::dark(status);
     };
     let (pair, jacobian) = cell.receiver.linearise(&cell.emitter.source, &light, &seen, plan.is_paper);
@@ -171,7 +133,7 @@ pub fn linearise<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool
 
 pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: &Transform<S>) -> Response<S> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::respond(plan, cell, imperfect, base_from_tool);
     }
     let CompiledCell { receiver, emitter, .. } = cell;
@@ -188,7 +150,7 @@ pub fn respond<S: Scalar>(plan: &CompiledScene<S>, cell: usize, base_from_tool: 
         Spot::Rectangle(rectangle) => paper::rectangle_beam(rectangle, seen.axis),
         Spot::Polygon(polygon) => paper::polygon_beam(polygon, seen.axis, cell.aperture.skew()),
     };
-    let (light, integration) = emitter.light_on::<false>(plan, cell, &seen, &spot);
+    let (light, integration) = light::<S, false>(plan, cell, emitter, &seen, &spot);
     let rounding = emitter.orders.as_ref().map_or(S::zero(), Orders::rounding);
     let power = light.as_ref().map_or(S::zero(), |light| light.power.value);
     let photocurrent = receiver.responsivity * emitter.source.intensity * power;
@@ -231,7 +193,7 @@ pub fn outline<S: Scalar>(
     base_from_tool: &Transform<S>,
 ) -> Vec<[S; 2], MAX_CORNERS> {
     let cell = &plan.cells[cell];
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::outline(cell, imperfect, base_from_tool);
     }
     let seen = cell.receiver.see(&cell.emitter.source, base_from_tool);
@@ -252,7 +214,7 @@ pub fn photocurrents_of_emitters<S: Scalar>(
     let lit = lit.filter(|&(emitter, _)| plan.has_emitter(cell, emitter));
     let cell = &plan.cells[cell];
     let lit = lit.map(|(emitter, level)| (&plan.cells[emitter], level));
-    if let Some(imperfect) = plan.imperfect_of(cell) {
+    if let Some(imperfect) = &cell.imperfect {
         return imperfect::photocurrents_of_emitters(plan, cell, imperfect, lit, base_from_tool);
     }
     lit.fold(Pair::default(), |sum: Pair<S>, (of, level)| {

@@ -8,6 +8,9 @@ pub mod evaluate;
 mod imperfect;
 mod optics;
 
+#[cfg(feature = "lanes")]
+extern crate alloc;
+
 use core::fmt::Debug;
 
 use heapless::Vec;
@@ -16,12 +19,11 @@ use crate::aperture::Aperture;
 use crate::effects::counts_on;
 use crate::entries::Scalar;
 use crate::exact::{MAX_EVALUATIONS, Orders, Rules};
-use crate::list::List;
 use crate::pose::{Pose, Transform};
 use crate::profile::CompiledProfile;
 use crate::response::{Pair, Response, Status};
 use crate::scalar::Number;
-use crate::scene::{MAX_CELLS, Scene, SceneError};
+use crate::scene::{Scene, SceneError};
 use crate::solve::{MotionPrior, Photocurrents, Solution, Solver, Start};
 
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
@@ -46,12 +48,17 @@ pub enum Tier {
     },
 }
 
+/// The cells of a plan: in place, or with the feature `lanes` on the heap, where copies share them. A compiled scene of 120 kB
+/// would otherwise be moved over the stacks of a host's threads, and copied with each tracker.
+#[cfg(not(feature = "lanes"))]
+type CompiledCells<S> = Vec<CompiledCell<S>, { crate::scene::MAX_CELLS }>;
+#[cfg(feature = "lanes")]
+type CompiledCells<S> = alloc::sync::Arc<[CompiledCell<S>]>;
+
 /// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `lanes`.
 #[derive(Clone, Debug)]
 pub struct CompiledScene<S: Scalar> {
-    cells: List<CompiledCell<S>, MAX_CELLS>,
-    /// The effects of those cells that have any.
-    imperfect: List<Imperfect<S>, MAX_CELLS>,
+    cells: CompiledCells<S>,
     is_paper: bool,
     /// `None` in the paper tier, unless an opening asks for integrals.
     rules: Option<Rules<S>>,
@@ -98,6 +105,8 @@ pub type CurrentsJacobian<S> = [[S; 6]; 2];
 pub struct CompiledCell<S: Number> {
     receiver: Receiver<S>,
     aperture: Aperture<S>,
+    /// What the cell does beyond an ideal one, if anything: its light then passes this, not the aperture.
+    imperfect: Option<Imperfect<S>>,
     emitter: CompiledEmitter<S>,
     saturation: Option<S>,
     faint: S,
@@ -222,43 +231,17 @@ impl<S: Scalar> CompiledScene<S> {
 
     #[inline(always)]
     pub(crate) fn compile_here(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let mut plan = Self::empty();
-        plan.set_scene(scene, tier)?;
+        let cells: CompiledCells<S> = compile::cells(scene, tier)?;
+        let integrates = cells.iter().any(|cell| cell.emitter.orders.is_some());
+        let rules = integrates.then(Rules::new);
+        let mut plan = Self { cells, is_paper: tier == Tier::Paper, rules, lanes: S::CellsInLanes::ALONE };
+        plan.lanes = S::CellsInLanes::of(&plan);
         Ok(plan)
-    }
-
-    #[inline]
-    pub(crate) fn empty() -> Self {
-        Self { cells: List::new(), imperfect: List::new(), is_paper: true, rules: None, lanes: S::CellsInLanes::ALONE }
-    }
-
-    /// [`Self::compile`] in place. After an error the plan has no cells.
-    pub(crate) fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
-        self.cells.clear();
-        self.imperfect.clear();
-        self.lanes = S::CellsInLanes::ALONE;
-        if let Err(error) = compile::fill(&mut self.cells, &mut self.imperfect, scene, tier) {
-            self.cells.clear();
-            return Err(error);
-        }
-        self.is_paper = tier == Tier::Paper;
-        let integrates = self.cells.iter().any(|cell| cell.emitter.orders.is_some());
-        self.rules = integrates.then(Rules::new);
-        self.lanes = S::CellsInLanes::of(self);
-        Ok(())
-    }
-
-    #[inline(always)]
-    fn imperfect_of(&self, cell: &CompiledCell<S>) -> Option<&Imperfect<S>> {
-        match cell.aperture {
-            Aperture::Imperfect(index) => self.imperfect.get(index),
-            _ => None,
-        }
     }
 
     /// Whether the light of `emitter` is to be counted on the detector of `cell`.
     fn has_emitter(&self, cell: usize, emitter: usize) -> bool {
-        let other = self.imperfect_of(&self.cells[emitter]).and_then(|effects| effects.other_axis);
+        let other = self.cells[emitter].imperfect.as_ref().and_then(|effects| effects.other_axis);
         emitter == cell || counts_on(emitter, other, cell)
     }
 
@@ -329,7 +312,7 @@ impl<S: Scalar> CompiledScene<S> {
     /// # Panics
     /// If there is no such cell.
     pub fn lit_together(&self, cell: usize) -> u16 {
-        self.imperfect_of(&self.cells[cell]).map_or(0, |effects| effects.lit_together)
+        self.cells[cell].imperfect.as_ref().map_or(0, |effects| effects.lit_together)
     }
 }
 
@@ -358,7 +341,7 @@ impl<S: Scalar> Optics<S> for CompiledScene<S> {
 
     fn arm(&self, cell: usize, base_from_tool: &Transform<S>) -> S::Vec3 {
         let cell = &self.cells[cell];
-        let landing = self.imperfect_of(cell).and_then(Imperfect::landing);
+        let landing = cell.imperfect.as_ref().and_then(Imperfect::landing);
         base_from_tool.rotate(landing.unwrap_or(cell.emitter.source.position))
     }
 

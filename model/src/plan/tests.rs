@@ -67,6 +67,7 @@ fn tabulated() -> Profile {
 #[cfg(all(feature = "lanes", target_arch = "x86_64"))]
 #[test]
 fn cells_in_lanes_have_the_bits_of_cells_alone() {
+    use crate::scene::MAX_CELLS;
     use crate::solve::fixture::{EFFECTS, Effect};
 
     // A tool in motion, m/s and rad/s, and half its acceleration.
@@ -323,17 +324,4 @@ fn what_no_head_can_have_is_refused_with_its_place() {
         let error = CompiledScene::<f64>::compile(&scene(1, change), EXACT).map(|_| ()).expect_err("too large");
         assert!(matches!(error.fault, Fault::TooLarge(_)) && error.place.key == key, "{error}");
     }
-}
-
-/// The board has 96 KiB beside the memory its code runs from (STM32G474RE, RM0440). The scene takes
-/// 21 KiB of them, and the stack needs some.
-#[test]
-fn a_plan_leaves_room_on_the_board() {
-    // With its lists in place, whatever the features of this build.
-    const fn sizes<T, const N: usize>() -> (usize, usize) {
-        (size_of::<List<T, N>>(), size_of::<Vec<T, N>>())
-    }
-    let lists = [sizes::<CompiledCell<f32>, MAX_CELLS>(), sizes::<Imperfect<f32>, MAX_CELLS>()];
-    let size = lists.iter().fold(size_of::<CompiledScene<f32>>(), |size, (here, in_place)| size - here + in_place);
-    assert!(size <= 60 * 1024, "{size} bytes");
 }

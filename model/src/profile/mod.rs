@@ -31,9 +31,6 @@ pub trait Falloff<R> {
 
 /// Further properties of a profile, for integrals over a spot.
 pub trait Emission<S>: Falloff<S> {
-    /// Whether a rule chosen beforehand must integrate the series of [`Self::near`], because no estimate
-    /// covers the variation of the profile itself.
-    const NEEDS_SERIES: bool;
     /// Limit of I_rel for γ → 90° from below: zero unless the profile jumps there.
     fn at_horizon(&self) -> S;
     /// A cheaper series for this profile where |c − `centre`| ≤ `spread`·`centre`, within the tolerance
@@ -137,10 +134,52 @@ impl<S: Number> CompiledProfile<S> {
         (compiled, exponent)
     }
 
+    /// Whether a rule chosen beforehand must integrate the series of [`Self::near`], because no estimate
+    /// covers the variation of the profile itself.
+    pub fn needs_series(&self) -> bool {
+        matches!(self, Self::Table(_) | Self::ShapedTable(_))
+    }
+
     pub fn as_power(&self) -> Option<&Power<S>> {
         match self {
             Self::Cosine(cosine) => Some(cosine.power()),
             Self::Table(_) | Self::ShapedCosine(_) | Self::ShapedTable(_) => None,
         }
+    }
+}
+
+/// Each function is that of the profile.
+macro_rules! of_profile {
+    ($($(#[$attribute:meta])* $visibility:vis fn $name:ident(&self $(, $argument:ident: $of:ty)*) -> $result:ty;)*) => {
+        $($(#[$attribute])*
+        $visibility fn $name(&self $(, $argument: $of)*) -> $result {
+            match self {
+                Self::Cosine(profile) => profile.$name($($argument),*),
+                Self::Table(profile) => profile.$name($($argument),*),
+                Self::ShapedCosine(profile) => profile.$name($($argument),*),
+                Self::ShapedTable(profile) => profile.$name($($argument),*),
+            }
+        })*
+    };
+}
+
+impl<S: Number> Falloff<S> for CompiledProfile<S> {
+    of_profile! {
+        #[inline(always)]
+        fn relative(&self, c: S) -> S;
+        #[inline(always)]
+        fn with_slope(&self, c: S) -> (S, S);
+    }
+}
+
+impl<S: Number> Emission<S> for CompiledProfile<S> {
+    of_profile! {
+        fn at_horizon(&self) -> S;
+        #[inline(always)]
+        fn near(&self, centre: S, spread: S) -> Option<Series<S>>;
+        fn greatest(&self, lower: S, upper: S) -> S;
+        fn is_resolved(&self, lower: S, upper: S) -> bool;
+        fn is_smooth(&self, lower: S, upper: S) -> bool;
+        fn rescaling(&self, brightest: impl FnOnce() -> S, corner: S) -> (S, S);
     }
 }

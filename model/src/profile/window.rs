@@ -267,18 +267,6 @@ impl<S: Number> Curve<S> {
     }
 }
 
-impl<S: Number> CompiledProfile<S> {
-    /// I_rel at cos γ = `c` > 0.
-    fn relative(&self, c: S) -> S {
-        match self {
-            Self::Cosine(profile) => profile.relative(c),
-            Self::Table(profile) => profile.relative(c),
-            Self::ShapedCosine(profile) => profile.relative(c),
-            Self::ShapedTable(profile) => profile.relative(c),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     extern crate std;

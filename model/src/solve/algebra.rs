@@ -344,16 +344,6 @@ mod tests {
     }
 
     #[test]
-    fn a_singular_matrix_is_refused() {
-        let mut matrix = normal(&rows(1.0));
-        matrix[5] = matrix[4];
-        for row in &mut matrix {
-            row[5] = row[4];
-        }
-        assert!(Factor::of_matrix(&matrix, 0.0, 1e-13).is_none());
-    }
-
-    #[test]
     fn rows_solve_what_their_normal_matrix_cannot() {
         let x = [1.0, -2.0, 3.0, 0.5, -0.25, 4.0];
         for spread in [1.0, 1e4, 1e8, 1e12] {
@@ -365,19 +355,6 @@ mod tests {
             }
         }
         assert!(Factor::of_matrix(&normal(&rows(1e9)), 0.0, 1e-12).is_none());
-    }
-
-    #[test]
-    fn a_triangle_is_the_factor_of_its_normal_matrix() {
-        let rows = rows(10.0);
-        let (factor, _) = triangle(&rows, &[0.0; 6]).last_six();
-        let product = |i: usize, j: usize| -> f64 { (0..6).map(|k| factor.lower[i][k] * factor.lower[j][k]).sum() };
-        let matrix = normal(&rows);
-        for i in 0..6 {
-            for j in 0..6 {
-                assert!((product(i, j) - matrix[i][j]).abs() < 1e-14 * matrix[0][0]);
-            }
-        }
     }
 
     #[test]

@@ -107,10 +107,11 @@ impl<S: Scalar> Solver<S, CompactPlan<S>> {
             return Err(CompactError::Spots { error });
         }
         let tier = Tier::Exact { tolerance: error.max(TOLERANCE) };
-        let Solver { mut compiled, max_steps } = Solver::<S>::new(scene, tier)?;
+        let Compiled { plan, has_images, .. } = Solver::<S>::new(scene, tier)?.compiled;
+        let plan = CompactPlan::of(scene, &plan, &truth).map_err(other_kind)?;
+        let mut compiled = Compiled { has_images, ..Compiled::of(scene, tier, plan) };
         compiled.take_light_level_for_known();
-        let plan = CompactPlan::of(scene, &compiled.plan, &truth).map_err(other_kind)?;
-        Ok(Self { compiled: compiled.with_plan(plan), max_steps })
+        Ok(Self { compiled, max_steps: None })
     }
 
     /// Without cells: it finds no pose.

@@ -6,7 +6,7 @@ use crate::entries::Scalar;
 use crate::plan::{CompiledScene, Optics, Tier};
 use crate::pose::{Pose, Rigid, Transform};
 use crate::scalar::{Linear3, Number};
-use crate::scene::{Cell, MAX_CELLS, Scene, SceneError};
+use crate::scene::{Cell, MAX_CELLS, Scene};
 
 use super::home::home;
 use super::outcome::{Directions, Outcome, Solution};
@@ -42,49 +42,41 @@ pub struct Compiled<S: Number, P = CompiledScene<S>> {
     pub level_information: Option<S>,
 }
 
-impl<S: Scalar> Compiled<S> {
-    #[inline(always)]
-    pub fn empty() -> Self {
-        Self::without_cells(CompiledScene::empty())
-    }
-
-    /// Compiles `scene` in place, for a processor whose RAM holds one solver and not two: cells
-    /// exposed at the reference instant.
-    ///
-    /// # Errors
-    /// Those of [`CompiledScene::compile`]. It is then empty.
+impl<S: Number, P: Optics<S>> Compiled<S, P> {
+    /// Of `scene` and its `plan`, the cells exposed at the reference instant.
     #[inline(never)]
-    pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
-        self.planes.clear();
-        self.noise.clear();
-        self.limits.clear();
-        self.offsets_s.clear();
-        self.plan.set_scene(scene, tier)?;
+    pub fn of(scene: &Scene, tier: Tier, plan: P) -> Self {
         let rounding = 16.0 * S::epsilon().as_f64();
         let relative_error = match tier {
             Tier::Paper => rounding,
             Tier::Exact { tolerance } => tolerance.max(rounding),
         };
-        let cells = scene.cells.iter();
-        self.length_scale_m = S::of(scene.length_scale_m());
-        let home = home(scene);
-        self.home = Rigid::of(&home);
-        self.planes.extend(cells.clone().map(|cell| PlaneCell::compile(cell, &home, tier == Tier::Paper)));
-        self.noise.extend((0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)));
-        self.limits.extend(cells.map(|cell @ Cell { detector, .. }| Limits {
+        let (cells, home, length_scale_m) = (scene.cells.iter(), home(scene), S::of(scene.length_scale_m()));
+        let planes: Vec<_, MAX_CELLS> =
+            cells.clone().map(|cell| PlaneCell::compile(cell, &home, tier == Tier::Paper)).collect();
+        let limits = cells.map(|cell @ Cell { detector, .. }| Limits {
             // Stray light without a spot is as faint as none.
             faint_a: S::of(detector.faint_a + cell.stray_a()),
             saturation_a: detector.saturation_a.map_or(S::infinity(), |limit| S::of(limit - detector.dark_current_a)),
             most_share: S::infinity(),
-        }));
+        });
         let level_sigma = scene.uncertainty.light_level_relative;
-        self.level_information = (level_sigma > 0.0).then(|| S::of((level_sigma * level_sigma).recip()));
-        self.set_gates();
-        self.jacobian_change_rate = jacobian_change_rate(&self.planes, self.length_scale_m);
-        self.has_images = false;
-        Ok(())
+        let mut compiled = Self {
+            noise: (0..scene.cells.len()).map(|cell| CellNoise::compile(scene, cell, relative_error)).collect(),
+            limits: limits.collect(),
+            length_scale_m,
+            home: Rigid::of(&home),
+            jacobian_change_rate: jacobian_change_rate(&planes, length_scale_m),
+            planes,
+            level_information: (level_sigma > 0.0).then(|| S::of((level_sigma * level_sigma).recip())),
+            ..Self::without_cells(plan)
+        };
+        compiled.set_gates();
+        compiled
     }
+}
 
+impl<S: Scalar> Compiled<S> {
     /// The readings that the head gives with the tool at rest at `pose`, without noise.
     pub fn seen_at(&self, pose: &Pose) -> Sorted<S> {
         let pairs = (0..self.plan.cell_count()).map(|cell| self.plan.photocurrents(cell, pose));
@@ -129,22 +121,6 @@ impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// Data of so many cells, less the unknowns.
     pub fn redundancy(&self, cells: usize) -> usize {
         redundancy(cells, self.level_information(cells).is_some())
-    }
-
-    pub fn with_plan<Q>(self, plan: Q) -> Compiled<S, Q> {
-        Compiled {
-            plan,
-            planes: self.planes,
-            noise: self.noise,
-            limits: self.limits,
-            gates: self.gates,
-            offsets_s: self.offsets_s,
-            length_scale_m: self.length_scale_m,
-            home: self.home,
-            jacobian_change_rate: self.jacobian_change_rate,
-            has_images: self.has_images,
-            level_information: self.level_information,
-        }
     }
 
     pub fn on_planes(&self, sorted: &Sorted<S>) -> Transform<S> {

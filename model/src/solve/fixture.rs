@@ -90,9 +90,8 @@ pub const EFFECTS: [Effect; 9] = [
 ];
 
 pub fn compiled() -> Compiled<f64> {
-    let mut compiled = Compiled::empty();
-    compiled.set_scene(&head(), Tier::Paper).expect("a valid scene");
-    compiled
+    let plan = CompiledScene::compile(&head(), Tier::Paper).expect("a valid scene");
+    Compiled::of(&head(), Tier::Paper, plan)
 }
 
 /// A pose with something in each coordinate.
@@ -102,12 +101,4 @@ pub fn pose() -> Pose {
 
 pub fn currents(plan: &CompiledScene<f64>, pose: &Pose) -> Photocurrents {
     Photocurrents::of_pairs((0..plan.cell_count()).map(|cell| plan.photocurrents(cell, pose)))
-}
-
-/// Where an emitter is in the frame of its cell.
-pub fn emitter_in_cell(cell: &Cell, pose: &Pose) -> DVec3 {
-    let turned = pose.rotation * cell.emitter.position_tool_m + pose.translation_m;
-    let (x, z) = (cell.detector.x_axis_base, cell.detector.normal_base);
-    let from_centre = turned - cell.detector.centre_base_m;
-    DVec3::new(from_centre.dot(x), from_centre.dot(z.cross(x)), from_centre.dot(z))
 }

@@ -60,21 +60,11 @@ const ANYWHERE: f64 = 0.1;
 const OTHERS: usize = 13;
 const UNKNOWNS: usize = MAX_CELLS + OTHERS;
 
-/// Whitened residual of one current, its derivatives by light level and scaled pose, and its exposure in units of the
-/// frame's duration.
-#[derive(Clone, Copy, Debug)]
-pub struct Observed<S> {
-    cell: usize,
-    by_level: S,
-    by_pose: [S; 6],
-    share: S,
-    residual: S,
-}
-
 /// What a frame says of levels, and the standard deviations of what is known of motion within it.
 #[derive(Clone, Debug)]
 pub struct Observation<S> {
-    rows: Vec<Observed<S>, { 2 * MAX_CELLS }>,
+    /// Of each reading its cell, the exposure in units of the frame's duration, and the whitened rows.
+    readings: Vec<(usize, S, [Row<S>; 2]), MAX_CELLS>,
     reach: [S; 2],
     level_sigma: S,
 }
@@ -204,7 +194,7 @@ impl<S: Number> Levels<S> {
     /// Tries with each emitter whether a change of it explains a frame in trouble; after many, takes the best for changed.
     fn suspect(&mut self, observation: &Observation<S>) {
         // Of a frame's data, six are the pose's and one the common level's.
-        let redundancy = observation.rows.len().saturating_sub(OTHERS - 6).max(2);
+        let redundancy = (2 * observation.readings.len()).saturating_sub(OTHERS - 6).max(2);
         let misfit = |mut levels: Self, freed: usize| {
             let misfit = levels.update(observation) / S::of((redundancy - freed) as f64);
             misfit.min(S::of(MAX_MISFIT))
@@ -272,12 +262,16 @@ impl<S: Number> Levels<S> {
             covariance[i][i] = sigma * sigma;
         }
         let mut chi2 = S::zero();
-        for row in &observation.rows {
+        let rows = observation
+            .readings
+            .iter()
+            .flat_map(|(cell, share, rows)| rows.iter().map(move |row| (*cell, *share, row)));
+        for (cell, share, row) in rows {
             let mut of = [S::zero(); UNKNOWNS];
-            of[self.emitters[row.cell]] = row.by_level;
+            of[self.emitters[cell]] = row.by_level;
             of[count] = row.by_level;
             for (axis, &by) in row.by_pose.iter().enumerate() {
-                (of[count + 1 + axis], of[count + 7 + axis]) = (by, row.share * by);
+                (of[count + 1 + axis], of[count + 7 + axis]) = (by, share * by);
             }
             let product = |a: &[S; UNKNOWNS], b: &[S; UNKNOWNS]| (0..size).fold(S::zero(), |sum, i| sum + a[i] * b[i]);
             let mut gain = [S::zero(); UNKNOWNS];
@@ -317,7 +311,7 @@ impl<S: Scalar> PoseTracker<S> {
         levels.advance(frame);
         self.set_emitter_gains(&levels.gains);
         if let Some(observation) = S::observe(self, readings, solution)
-            && observation.rows.len() >= 2 * LEVEL_CELLS
+            && observation.readings.len() >= LEVEL_CELLS
         {
             if levels.is_in_trouble() {
                 levels.suspect(&observation);
@@ -364,15 +358,8 @@ impl<S: Scalar> PoseTracker<S> {
         problem.linearise(&solution.rigid.to_transform(), workspace);
         let duration = compiled.duration_s();
         let reach = [motion.sigmas[0] * duration / compiled.length_scale_m, motion.sigmas[1] * duration];
-        let mut rows = Vec::new();
-        for (reading, pair) in sorted.usable.iter().zip(&workspace.rows) {
-            let share = problem.share(reading);
-            for row in pair {
-                let &Row { by_pose, by_level, residual } = row;
-                // Two of each cell.
-                let _ = rows.push(Observed { cell: reading.cell, by_level, by_pose, share, residual });
-            }
-        }
-        Some(Observation { rows, reach, level_sigma })
+        let of_readings = sorted.usable.iter().zip(&workspace.rows);
+        let readings = of_readings.map(|(reading, rows)| (reading.cell, problem.share(reading), *rows)).collect();
+        Some(Observation { readings, reach, level_sigma })
     }
 }

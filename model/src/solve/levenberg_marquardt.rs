@@ -306,11 +306,6 @@ impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     fn may_cross_kink(&self, step: &Step<S>, reach: Reach<S>, workspace: &Workspace<S>) -> bool {
         step.predicted_reduction <= S::of(NEAR) && !self.is_smooth(reach.length, workspace)
     }
-
-    pub fn factor_at(&self, pose: &Transform<S>, workspace: &mut Workspace<S>) -> Option<Factor<S>> {
-        let at: NormalEquations<S> = self.linearise(pose, workspace);
-        self.factor(&at, workspace)
-    }
 }
 
 impl<S: Number> Step<S> {
@@ -340,11 +335,6 @@ fn lowered<S: Number>(damping: S) -> S {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
-    use super::super::fixture::{compiled, currents, pose};
-    use super::super::readings::Sorted;
-    use super::super::twist::Prior;
     use super::*;
 
     #[test]
@@ -352,36 +342,5 @@ mod tests {
         assert_eq!([0.0, 1e-4].map(raised::<f64>), [1e-4, 1e-4 * 10.0]);
         assert_eq!([1e-4, 0.0].map(lowered::<f64>), [0.0; 2]);
         assert!((lowered(1e-2_f64) - 1e-3).abs() < 1e-18);
-    }
-
-    #[test]
-    fn the_minimum_of_noise_free_currents_is_their_pose() {
-        let (head, truth) = (compiled(), pose());
-        let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
-        let problem = head.problem(&sorted, &Prior::at_rest());
-        let start = Transform::of(&truth.perturbed(DVec3::new(20e-6, -20e-6, 20e-6), DVec3::new(2e-3, 1e-3, -2e-3)));
-        let off = |minimum: &Minimum<f64>| {
-            let (dt, dr) = minimum.pose.to_pose().displacement_from(&truth);
-            assert!(minimum.converged);
-            dt.length() + 8e-3 * dr.length()
-        };
-        let workspace = &mut Workspace::new();
-        let exact = problem.minimise(start, Stopping::exact(), workspace);
-        assert!(off(&exact) < 1e-12 && exact.chi2 < 1e-12, "{} {}", off(&exact), exact.chi2);
-        // Where the tool is expected one evaluation with derivatives and one without do, to a part of σ (1 µm).
-        let workspace = &mut Workspace::new();
-        let near = problem.minimise_quickly(start, workspace);
-        assert!(off(&near) < 0.2e-6 && workspace.evaluations <= 3, "{} {}", off(&near), workspace.evaluations);
-    }
-
-    #[test]
-    fn a_minimisation_ends_with_its_budget() {
-        let (head, truth) = (compiled(), pose());
-        let sorted = Sorted::of(&currents(&head.plan, &truth), &head.limits);
-        let problem = head.problem(&sorted, &Prior::at_rest());
-        let far = Transform::of(&truth.perturbed(DVec3::splat(1e-3), DVec3::splat(0.1)));
-        let workspace = &mut Workspace::with_work(2);
-        let minimum = problem.minimise(far, Stopping::exact(), workspace);
-        assert!(!minimum.converged && workspace.evaluations <= 5, "{}", workspace.evaluations);
     }
 }

@@ -143,7 +143,8 @@ impl<S: Number> NormalEquations<S> {
 impl<S: Number, P: Optics<S>> Compiled<S, P> {
     /// The problem that readings pose.
     pub fn problem<'a>(&'a self, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Problem<'a, S, P> {
-        Problem::new(self, sorted, motion)
+        let motion = Motion::new(motion, self.duration_s(), self.length_scale_m);
+        Problem { head: self, sorted, motion, whiteners: whiteners(&self.noise, &sorted.usable) }
     }
 }
 
@@ -154,17 +155,13 @@ impl<S: Scalar> Compiled<S> {
         if sorted.usable.len() < MIN_CELLS {
             return None;
         }
-        let problem = self.problem(&sorted, &Prior::at_rest());
-        problem.factor_at(&Transform::of(pose), &mut Workspace::new())
+        let (problem, workspace) = (self.problem(&sorted, &Prior::at_rest()), &mut Workspace::new());
+        let at = problem.linearise(&Transform::of(pose), workspace);
+        problem.factor(&at, workspace)
     }
 }
 
-impl<'a, S: Number, P: Optics<S>> Problem<'a, S, P> {
-    pub fn new(head: &'a Compiled<S, P>, sorted: &'a Sorted<S>, motion: &Prior<S>) -> Self {
-        let motion = Motion::new(motion, head.duration_s(), head.length_scale_m);
-        Self { head, sorted, motion, whiteners: whiteners(&head.noise, &sorted.usable) }
-    }
-
+impl<S: Number, P: Optics<S>> Problem<'_, S, P> {
     pub fn instant<'b>(&'b self, pose: &'b Transform<S>) -> Instant<'b, S> {
         Instant { pose, twist: self.motion.twist, bend: self.motion.bend, offsets_s: &self.head.offsets_s }
     }

@@ -130,12 +130,6 @@ impl<S: Number> PlaneCell<S> {
         normal * normal.length().recip()
     }
 
-    /// [`Self::row_from`] the slit.
-    #[inline(always)]
-    pub fn row_from_slit(&self, normal: S::Vec3, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
-        self.row_from(self.slit, normal, pose, length_scale_m)
-    }
-
     /// Distance of the emitter from its plane with the tool at `pose`, metres, and its derivatives
     /// by (δt, arm·δθ).
     pub fn row(&self, reading: &Usable<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
@@ -144,7 +138,7 @@ impl<S: Number> PlaneCell<S> {
 
     fn row_of(&self, plane: Plane<S>, pose: &Transform<S>, length_scale_m: S) -> (Vector6<S>, S) {
         match plane {
-            Plane::Emitter(normal) => self.row_from_slit(normal, pose, length_scale_m),
+            Plane::Emitter(normal) => self.row_from(self.slit, normal, pose, length_scale_m),
             Plane::Landing(landing) => self.row_to(landing, pose, length_scale_m),
         }
     }
@@ -257,33 +251,4 @@ pub fn settle<S: Number, Rows: Iterator<Item = (Vector6<S>, S, S)>>(
 pub fn jacobian_change_rate<S: Number>(cells: &[PlaneCell<S>], length_scale_m: S) -> S {
     let shortest = cells.iter().fold(S::infinity(), |shortest, cell| shortest.min(cell.shortest_m()));
     S::of(8.0) * length_scale_m / shortest.max(S::of(1e-3) * length_scale_m)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::fixture::{emitter_in_cell, head, pose};
-    use super::*;
-
-    #[test]
-    fn the_pose_is_where_all_emitters_lie_in_the_planes_of_their_light() {
-        let (scene, truth) = (head(), pose());
-        let planes: heapless::Vec<_, 6> =
-            scene.cells.iter().map(|cell| PlaneCell::compile(cell, &Pose::HOME, true)).collect();
-        let readings: heapless::Vec<_, 6> = scene
-            .cells
-            .iter()
-            .enumerate()
-            .map(|(cell, description)| {
-                // Light through the middle of the slit: e_x·d_B + X_A·(e_z − d_B) = 0.
-                let e = emitter_in_cell(description, &truth);
-                let d = description.slit.distance_m;
-                let share = -e.x * d / (e.z - d) / (0.5 * description.detector.length_m);
-                Usable { cell, pair: [0.5 * (1.0 - share), 0.5 * (1.0 + share)] }
-            })
-            .collect();
-        let found = pose_on_planes(&planes, &readings, Transform::of(&Pose::HOME), 8e-3).to_pose();
-        let (dt, dr) = found.displacement_from(&truth);
-        // The pull towards home leaves 1e-6 of the way of a millimetre, and of 0.07 rad.
-        assert!(dt.length() < 3e-9 && dr.length() < 3e-7, "{dt} {dr}");
-    }
 }

@@ -42,33 +42,14 @@ impl<S: Scalar> Solver<S> {
     /// # Errors
     /// Those of [`CompiledScene::compile`].
     pub fn new(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let mut solver = Self::empty();
-        solver.set_scene(scene, tier)?;
-        Ok(solver)
+        S::solver(scene, tier)
     }
 
-    /// For no scene yet: it finds no pose.
     #[inline(always)]
-    #[must_use]
-    pub fn empty() -> Self {
-        Self { compiled: Compiled::empty(), max_steps: None }
-    }
-
-    /// Compiles `scene` in place, for a processor whose RAM holds one solver and not two: cells
-    /// exposed at the reference instant, the limit of steps as before.
-    ///
-    /// # Errors
-    /// Those of [`CompiledScene::compile`]. The solver is then an empty one.
-    #[inline(always)]
-    pub fn set_scene(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
-        S::set_scene(self, scene, tier)
-    }
-
-    #[inline(never)]
-    pub(crate) fn set_scene_here(&mut self, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
-        self.compiled.set_scene(scene, tier)?;
-        self.compiled.has_images = self.compiled.may_have_images();
-        Ok(())
+    pub(crate) fn new_here(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
+        let mut compiled = Compiled::of(scene, tier, CompiledScene::compile(scene, tier)?);
+        compiled.has_images = compiled.may_have_images();
+        Ok(Self { compiled, max_steps: None })
     }
 
     /// The directions that the currents of the head leave free at `pose`; `None` if there is none, or if

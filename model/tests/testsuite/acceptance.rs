@@ -164,21 +164,6 @@ fn no_currents_cost_more_than_the_budget() {
     }
 }
 
-#[test]
-fn light_of_the_other_tier_is_a_misfit_soon() {
-    let mut rng = generator();
-    let [paper, exact] = TIERS.map(|tier| Solver::<f64>::new(&wide(), tier).expect("scene"));
-    for (solver, light) in [(&paper, &exact), (&exact, &paper)] {
-        let most = most_evaluations(
-            solver,
-            40,
-            || seen(light.plan(), &pose_in_box(&mut rng, 3.0, 12.0)),
-            |solution| assert!(matches!(solution.outcome, Outcome::Degraded(_)), "{:?}", solution.outcome),
-        );
-        assert!(most < 300, "{most}");
-    }
-}
-
 /// Evaluations of one cold solve: its budget, a refinement that has begun, and a rough one.
 const MAX_OF_A_MISFIT: usize = 640;
 

@@ -1,5 +1,5 @@
 use glam::DQuat;
-use slitpose_model::{MotionPrior, NoTwist, Photocurrents, Solver, Start};
+use slitpose_model::{Cells, NoTwist, Outcome, Solution};
 
 use super::*;
 use crate::link::DeviceId;
@@ -78,7 +78,8 @@ fn a_pose_comes_back() {
 }
 
 fn record() -> Record {
-    let mut solution = Solver::<f64>::empty().solve(&Photocurrents::default(), Start::Cold, &MotionPrior::AT_REST);
+    let cells = Cells::default();
+    let mut solution = Solution::reported(Outcome::Diverged, None, f64::NAN, cells, cells);
     solution.estimate = Some(Estimate { pose: pose(), covariance: covariance() });
     let twist = Twist { linear_m_per_s: DVec3::new(0.1, -0.2, 0.3), angular_rad_per_s: DVec3::new(-1.0, 2.0, 0.5) };
     Record {

@@ -16,7 +16,6 @@ use crate::entries::Scalar;
 use crate::paper;
 use crate::polygon::MAX_CORNERS;
 use crate::pose::Transform;
-use crate::profile::CompiledProfile;
 use crate::response::{Flags, Integration, Pair, Response, Status};
 use crate::scalar::{Linear3, Number, Real, array};
 use crate::scene::Cell;
@@ -27,7 +26,7 @@ use self::opening::Opening;
 use self::passage::{Passage, Passed, Way, pass};
 use self::source::{CENTRE_WEIGHT, ExtendedSource, RING, RING_WEIGHT, azimuthal_factor};
 use super::optics::{Light, Place, Receiver, Seen, Source};
-use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene};
+use super::{CellTerms, CompiledCell, CompiledEmitter, CompiledScene, CurrentsJacobian};
 
 #[derive(Clone, Debug)]
 pub struct Imperfect<S: Number> {
@@ -205,18 +204,8 @@ fn add_point<S: Scalar, const GRADIENT: bool>(
 ) -> Result<Own<S>, Status> {
     let receiver = &cell.receiver;
     let seen = receiver.see(source, pose);
-    macro_rules! pass {
-        ($profile:expr) => {
-            pass::<S, _, GRADIENT>(plan, cell, passage, emitter, $profile, source, &seen, pose)
-        };
-    }
-    let passed = match &emitter.profile {
-        CompiledProfile::Cosine(profile) => pass!(profile),
-        CompiledProfile::Table(profile) => pass!(profile),
-        CompiledProfile::ShapedCosine(profile) => pass!(profile),
-        CompiledProfile::ShapedTable(profile) => pass!(profile),
-    };
-    let Passed { light, way, integration, status, slack_m } = passed?;
+    let passed = pass::<S, GRADIENT>(plan, cell, passage, emitter, source, &seen, pose)?;
+    let Passed { light, way, integration, status, slack_m } = passed;
     let Some(light) = light else {
         return Ok(Own { status, slack_m, photocurrent: S::zero(), x_a: None, integration });
     };
@@ -235,7 +224,7 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
     sums: &mut Sums<S>,
 ) -> Result<Own<S>, Status> {
     let emitter = &of.emitter;
-    let its = plan.imperfect_of(of);
+    let its = of.imperfect.as_ref();
     let extended = its.map(|imperfect| &imperfect.source);
     // Light passes the slit that rides with its emitter, else the opening of the cell.
     let rides = |it: &&Imperfect<S>| matches!(it.passage, Passage::Opening(Opening::Riding(_)));
@@ -267,13 +256,13 @@ fn add_emitter<S: Scalar, const GRADIENT: bool>(
     }
 }
 
-/// All light on the detector of `cell`.
+/// The currents of all light on the detector of `cell`, their derivatives, and what is known of the spot of its own emitter.
 fn gather<S: Scalar, const GRADIENT: bool>(
     plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
-) -> (Sums<S>, Result<Own<S>, Status>) {
+) -> ([S; 2], CurrentsJacobian<S>, Result<Own<S>, Status>) {
     let mut sums = Sums::none(S::zero());
     let own = add_emitter::<S, GRADIENT>(plan, cell, imperfect, cell, pose, &mut sums);
     if imperfect.lit_together != 0 {
@@ -284,7 +273,10 @@ fn gather<S: Scalar, const GRADIENT: bool>(
             }
         }
     }
-    (sums, own)
+    let at = (pose.translation(), pose);
+    let (pair, jacobian) =
+        imperfect.electrical.currents::<GRADIENT>(&cell.receiver, plan.is_paper, &sums, S::one(), at);
+    (pair, jacobian, own)
 }
 
 #[cold]
@@ -295,14 +287,7 @@ pub fn photocurrents<S: Scalar>(
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
 ) -> Pair<S> {
-    let (sums, _) = gather::<S, false>(plan, cell, imperfect, pose);
-    let ([i_x1_a, i_x2_a], _) = imperfect.electrical.currents::<false>(
-        &cell.receiver,
-        plan.is_paper,
-        &sums,
-        S::one(),
-        (pose.translation(), pose),
-    );
+    let ([i_x1_a, i_x2_a], ..) = gather::<S, false>(plan, cell, imperfect, pose);
     Pair { i_x1_a, i_x2_a }
 }
 
@@ -314,14 +299,7 @@ pub fn linearise<S: Scalar>(
     imperfect: &Imperfect<S>,
     pose: &Transform<S>,
 ) -> CellTerms<S> {
-    let (sums, own) = gather::<S, true>(plan, cell, imperfect, pose);
-    let (pair, jacobian) = imperfect.electrical.currents::<true>(
-        &cell.receiver,
-        plan.is_paper,
-        &sums,
-        S::one(),
-        (pose.translation(), pose),
-    );
+    let (pair, jacobian, own) = gather::<S, true>(plan, cell, imperfect, pose);
     match own {
         Ok(Own { status, slack_m, .. }) => CellTerms { status, pair, jacobian, slack_m, wall_m: S::infinity() },
         // Without direct light, what is left says next to nothing of the pose.
@@ -338,14 +316,7 @@ pub fn respond<S: Scalar>(
     pose: &Transform<S>,
 ) -> Response<S> {
     let receiver = &cell.receiver;
-    let (sums, own) = gather::<S, false>(plan, cell, imperfect, pose);
-    let (pair, _) = imperfect.electrical.currents::<false>(
-        &cell.receiver,
-        plan.is_paper,
-        &sums,
-        S::one(),
-        (pose.translation(), pose),
-    );
+    let (pair, _, own) = gather::<S, false>(plan, cell, imperfect, pose);
     let half_dark = S::half() * receiver.dark;
     let currents = Pair { i_x1_a: pair[0] + half_dark, i_x2_a: pair[1] + half_dark };
     let i_o_a = currents.total_a();

@@ -20,7 +20,6 @@ use crate::effects::Opening as Kind;
 use crate::exact::{self, Disc, LightAndTurn, Method, Strip};
 use crate::polygon::{EmitterGradient, Line, MAX_CORNERS, Motion, Polygon};
 use crate::pose::{Transform, rotation_exp};
-use crate::profile::Emission;
 use crate::response::{Integration, Status};
 use crate::scalar::{Linear3, Number, Vector3};
 use crate::scene::Cell;
@@ -111,13 +110,13 @@ impl<S: Number> Opening<S> {
     }
 
     /// The light of an emitter `seen` with the tool at `pose`.
-    pub fn pass<E: Emission<S>, const GRADIENT: bool>(
+    pub fn pass<const GRADIENT: bool>(
         &self,
         receiver: &Receiver<S>,
         source: &Source<S>,
         seen: &Seen<S>,
         pose: &Transform<S>,
-        method: &Method<'_, S, E>,
+        method: &Method<'_, S>,
     ) -> Result<Passed<S>, Status> {
         let (axis, mut slack_m) = (seen.axis, S::zero());
         let spot = match self {
@@ -125,7 +124,7 @@ impl<S: Number> Opening<S> {
                 let planes = slit.planes(receiver, source, seen, pose)?;
                 if let Some((strip, apart_m)) = slit.strip(&planes, receiver, seen) {
                     slack_m = apart_m;
-                    if let Some((light, integration)) = exact::strip_light::<S, E, GRADIENT>(&strip, axis, method) {
+                    if let Some((light, integration)) = exact::strip_light::<S, GRADIENT>(&strip, axis, method) {
                         return Ok(self.landed(
                             (Some(light), integration),
                             Onward::straight(seen),
@@ -142,14 +141,14 @@ impl<S: Number> Opening<S> {
                 slack_m = onward.slack_m(hole.disc.corners[0].x(), receiver.half).max(S::zero());
                 if slack_m > S::zero()
                     && let Some((light, integration)) =
-                        exact::disc_light::<S, E, GRADIENT>(&hole.disc, to_middle, magnified, axis, method)
+                        exact::disc_light::<S, GRADIENT>(&hole.disc, to_middle, magnified, axis, method)
                 {
                     return Ok(self.landed((Some(light), integration), onward, seen, (Status::Lit, slack_m)));
                 }
                 hole.spot(onward, receiver, seen)?
             }
         };
-        let light = exact::polygon_light::<S, E, GRADIENT>(spot.polygon, axis, method);
+        let light = exact::polygon_light::<S, GRADIENT>(spot.polygon, axis, method);
         Ok(self.landed(light, spot.onward, seen, (spot.status, slack_m)))
     }
 

@@ -5,7 +5,6 @@ use crate::entries::Scalar;
 use crate::exact::{self, Method, Turn};
 use crate::paper;
 use crate::pose::Transform;
-use crate::profile::Emission;
 use crate::response::{Integration, Status};
 use crate::scalar::{Number, Real};
 
@@ -42,12 +41,11 @@ pub struct Way<R: Real> {
 
 /// Light of `emission` through what cell `cell` has in its way.
 #[allow(clippy::too_many_arguments, reason = "one point of one emitter through one cell")]
-pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+pub fn pass<S: Scalar, const GRADIENT: bool>(
     plan: &CompiledScene<S>,
     cell: &CompiledCell<S>,
     passage: &Passage<S>,
     emitter: &CompiledEmitter<S>,
-    emission: &E,
     source: &Source<S>,
     seen: &Seen<S>,
     pose: &Transform<S>,
@@ -56,7 +54,7 @@ pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
         Passage::Beam(beam) => {
             let (spot, visibility) = beam.spot::<GRADIENT, GRADIENT>(seen.position, cell.receiver.half);
             let status = visibility.spot()?;
-            let (light, integration) = light::<S, E, GRADIENT>(plan, emitter, emission, seen, &spot);
+            let (light, integration) = light::<S, GRADIENT>(plan, emitter, seen, &spot);
             let way = Way { turn: None, raise: (spot.raise.height, spot.raise.by_position), to_hole: None };
             Ok(Passed { light, way, integration, status, slack_m: visibility.slack_m(0) })
         }
@@ -64,32 +62,31 @@ pub fn pass<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
             let orders = emitter.orders.as_ref().or(cell.emitter.orders.as_ref());
             // A plan with an opening has rules, and its cell orders.
             let (Some(orders), Some(rules)) = (orders, &plan.rules) else { return Err(Status::Dark) };
-            let method = Method { emission, orders, rules };
-            opening.pass::<E, GRADIENT>(&cell.receiver, source, seen, pose, &method)
+            let method = Method { emission: &emitter.profile, orders, rules };
+            opening.pass::<GRADIENT>(&cell.receiver, source, seen, pose, &method)
         }
     }
 }
 
-fn light<S: Scalar, E: Emission<S>, const GRADIENT: bool>(
+fn light<S: Scalar, const GRADIENT: bool>(
     plan: &CompiledScene<S>,
     emitter: &CompiledEmitter<S>,
-    emission: &E,
     seen: &Seen<S>,
     spot: &Spot<S>,
 ) -> (Option<Light<S>>, Option<Integration<S>>) {
-    let rectangle = &spot.rectangle;
+    let (rectangle, emission) = (&spot.rectangle, &emitter.profile);
     let (Some(orders), Some(rules)) = (&emitter.orders, &plan.rules) else {
-        let light = paper::rectangle_light::<S, E, GRADIENT>(rectangle, seen.axis, emission);
+        let light = paper::rectangle_light::<S, _, GRADIENT>(rectangle, seen.axis, emission);
         return (Some(spot.of_sides::<GRADIENT>(&light)), None);
     };
     if exact::faces_away(rectangle, seen.axis) {
         return (None, None);
     }
     let method = Method { emission, orders, rules };
-    if let Some((light, evaluations)) = exact::rectangle_light::<S, E, GRADIENT>(rectangle, seen.axis, &method) {
+    if let Some((light, evaluations)) = exact::rectangle_light::<S, GRADIENT>(rectangle, seen.axis, &method) {
         let integration = Integration { evaluations, relative_error: orders.tolerance() };
         return (Some(spot.of_sides::<GRADIENT>(&light)), Some(integration));
     }
-    let (light, integration) = exact::divided_light::<S, E, GRADIENT>(rectangle, || spot.motions(), seen.axis, &method);
+    let (light, integration) = exact::divided_light::<S, GRADIENT>(rectangle, || spot.motions(), seen.axis, &method);
     (light.map(|(light, _)| spot.of_polygon(light)), Some(integration))
 }
