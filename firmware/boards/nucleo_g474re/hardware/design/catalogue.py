@@ -161,7 +161,7 @@ TERMINAL = Kind(
     "Phoenix Contact", "1715721", "type", False,
 )
 MORPHO = Kind(
-    "morpho 38", "J", "MORPHO", _row(38), "2x19 socket", "Connector_PinSocket_2.54mm:PinSocket_2x19_P2.54mm_Vertical", "Samtec",
+    "morpho 38", "J", "MORPHO", _row(38), "2x19 socket", "Connector_PinHeader_2.54mm:PinHeader_2x19_P2.54mm_Vertical", "Samtec",
     "SSQ-119-03-G-D", "UM2505 Tables 15 and 16 (contacts, by firmware/wiring.csv); number of the socket", False,
 )
 USB_C = Kind(

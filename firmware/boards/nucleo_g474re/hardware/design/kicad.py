@@ -226,6 +226,23 @@ def netlist(circuit: Circuit) -> str:
     return "\n".join([*out, "))"]) + "\n"
 
 
+# What the layout keeps, and the rule check tests: millimetres (layout.router has the first four).
+RULES = {
+    "min_clearance": 0.145, "min_track_width": 0.2, "min_via_diameter": 0.5, "min_through_hole_diameter": 0.25,
+    "min_via_annular_width": 0.12, "min_copper_edge_clearance": 0.3, "min_hole_to_hole": 0.25, "min_hole_clearance": 0.15,
+    # Each ground pad has a via of its own beside its spokes.
+    "min_resolved_spokes": 1,
+}
+
+
+def project_file(project: str) -> dict:
+    net_class = {"name": "Default", "clearance": 0.145, "track_width": 0.2, "via_diameter": 0.5, "via_drill": 0.25}
+    return {
+        "board": {"design_settings": {"rules": RULES}}, "meta": {"filename": f"{project}.kicad_pro", "version": 1},
+        "net_settings": {"classes": [net_class], "meta": {"version": 3}},
+    }
+
+
 def write(folder: Path, circuit: Circuit, sheets: list[Sheet], title: str, notes: list[str] = ()) -> list[Path]:
     """All files of one board. A board of one sheet has it as its root."""
     project, counter, files = circuit.name, [0], {}
@@ -246,7 +263,7 @@ def write(folder: Path, circuit: Circuit, sheets: list[Sheet], title: str, notes
             path = f"/{own}/{identifier(own, sheet.name)}"
             files[f"{project}_{sheet.name}.kicad_sch"] = schematic(sheet, project, path, page, shared, counter)
     files[f"{project}.net"] = netlist(circuit)
-    files[f"{project}.kicad_pro"] = json.dumps({"meta": {"filename": f"{project}.kicad_pro", "version": 1}}, indent=2) + "\n"
+    files[f"{project}.kicad_pro"] = json.dumps(project_file(project), indent=2) + "\n"
     files["slitpose.kicad_sym"] = symbol_library()
     files["sym-lib-table"] = '(sym_lib_table (version 7)\n(lib (name "slitpose") (type "KiCad") (uri "${KIPRJMOD}/slitpose.kicad_sym") (options "") (descr ""))\n)\n'
     libraries = sorted({part.kind.footprint.split(":")[0] for part in circuit.parts.values()})

@@ -40,3 +40,17 @@ class Schematics(unittest.TestCase):
                     if len(pins) > 1:
                         drawn.add(pins)
                 self.assertEqual(drawn, {frozenset(pins) for pins in circuit.nets().values()})
+
+
+BOARD = ROOT / "kicad" / "carrier" / "carrier.kicad_pcb"
+
+
+class Layout(unittest.TestCase):
+    def test_design_rules_find_nothing(self):
+        with tempfile.TemporaryDirectory() as folder:
+            report = Path(folder, "drc.json")
+            done = kicad("pcb", "drc", "--severity-all", "--format", "json", "-o", report, BOARD.name, folder=BOARD.parent)
+            self.assertTrue(report.exists(), done.stderr)
+            found = json.loads(report.read_text())
+            self.assertEqual([violation["description"] for violation in found["violations"]], [])
+            self.assertEqual(found["unconnected_items"], [])

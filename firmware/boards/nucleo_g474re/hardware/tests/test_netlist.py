@@ -109,6 +109,26 @@ class Circuits(unittest.TestCase):
                 self.assertEqual(sum(counts[key] for key in keys) - extra, int(re.match(r"\d+", page[row])[0]))
 
 
+class Layout(unittest.TestCase):
+    def test_pads_of_the_board_have_the_nets_of_the_circuit(self):
+        text = (files.ROOT / "kicad" / "carrier" / "carrier.kicad_pcb").read_text()
+        circuit, found = boards.carrier(), {}
+        for footprint in text.split("\n\t(footprint ")[1:]:
+            reference = re.search(r'\(property "Reference" "([^"]+)"', footprint)[1]
+            self.assertNotIn(reference, found)
+            found[reference] = footprint
+        self.assertEqual({name for name in found if not name.startswith("H")}, set(circuit.parts))
+        for reference, part in circuit.parts.items():
+            self.assertTrue(found[reference].startswith(f'"{part.kind.footprint}"'), reference)
+            pads = {}
+            for pad in found[reference].split("\n\t\t(pad ")[1:]:
+                pad = pad.split("\n\t\t)")[0]
+                net = re.search(r'\(net \d+ "([^"]+)"\)', pad)
+                pads.setdefault(pad.split('"')[1], set()).add(net[1] if net else NO_CONNECTION)
+            for number, net in part.nets.items():
+                self.assertEqual(pads[number], {net}, f"{reference} pad {number}")
+
+
 class Files(unittest.TestCase):
     def test_committed_files_are_current(self):
         self.assertEqual(files.stale(), [], "run `hardware/run write`")
