@@ -108,11 +108,12 @@ def _step(rows: list[list[float]], column: int, from_s: float, scale: float) -> 
     return Step(at(from_s + SETTLING_S), times[last] - from_s, over)
 
 
-def settling(front_end: FrontEnd, detector: Detector, emitter_s: float = 0.0, edge: Waveform | None = None) -> Step:
-    """Step of light at cell 0, electrode 1, in codes if the brighter electrode steps by full scale. With `edge` the light
-    follows that waveform of `driver_waveform`; without, it steps at once."""
+def settling_rows(
+    front_end: FrontEnd, detector: Detector, emitter_s: float = 0.0, edge: Waveform | None = None, both: bool = False
+) -> list[list[float]]:
+    """Time and voltage at the converter's pin of electrode 1 of cell 0, or of `both`, for a step of light to 0.8 of full scale
+    of the brighter electrode. With `edge` the light follows that waveform of `driver_waveform`; without, it steps at once."""
     bench = front_end_deck("settling", front_end, detector)
-    # 0.8 of full scale at the brighter electrode.
     light_a = 0.8 * FULL_SCALE_CODES * CODE_V / front_end.r_f.ohms / max(detector.share_1, 1 - detector.share_1)
     if edge is None:
         bench.add(f"Vlit lit_a 0 pulse(0 {light_a:.8g} {EDGE_S} 1n 1n 1)")
@@ -120,8 +121,12 @@ def settling(front_end: FrontEnd, detector: Detector, emitter_s: float = 0.0, ed
         points = "\n+ ".join(f"{time:.10g} {light_a * share:.10g}" for time, share in edge)
         bench.add(f"Vlit lit_a 0 pwl(\n+ {points})")
     add_light(bench, detector, emitter_s, "lit_a")
-    rows = bench.run(f"tran 10n {EDGE_S + 45e-6} 0 25n", ["v(adc_1_0)"])
-    return _step(rows, 1, EDGE_S, 1 / CODE_V / 0.8)
+    return bench.run(f"tran 10n {EDGE_S + 45e-6} 0 25n", ["v(adc_1_0)", "v(adc_2_0)"][: 1 + both])
+
+
+def settling(front_end: FrontEnd, detector: Detector, emitter_s: float = 0.0, edge: Waveform | None = None) -> Step:
+    """Settling at electrode 1, in codes if the brighter electrode steps by full scale."""
+    return _step(settling_rows(front_end, detector, emitter_s, edge), 1, EDGE_S, 1 / CODE_V / 0.8)
 
 
 # --- loop gain -------------------------------------------------------------------------------------------------------

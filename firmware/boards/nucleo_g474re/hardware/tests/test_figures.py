@@ -2,7 +2,8 @@
 import re
 import unittest
 
-from design import figures
+from design import figures, waveforms
+from design.boards import ORDERABLE
 from design.__main__ import ROOT
 
 
@@ -37,3 +38,15 @@ class Figures(unittest.TestCase):
                 found = re.search(rf"^\| {re.escape(row.name)} \| (\S+)", text, re.M)
                 self.assertIsNotNone(found)
                 self.assertAlmostEqual(row.simulate(), float(found[1]), delta=0.05 * abs(float(found[1])) + 0.01)
+
+
+class Waveforms(unittest.TestCase):
+    def test_step_responses_rise_once_and_settle(self):
+        rows = waveforms.response(ORDERABLE, 0.5)
+        self.assertLess(max(map(abs, rows[0][1:])), 1e-9)
+        for column in (1, 2):
+            values = [row[column] for row in rows]
+            self.assertLess(max(abs(value - 1) for row, value in zip(rows, values) if row[0] > 15e-6), 1e-4)
+            self.assertGreater(min(after - before for before, after in zip(values, values[1:])), -1e-4)
+        # Light in the middle: both electrodes alike.
+        self.assertLess(max(abs(row[1] - row[2]) for row in rows), 1e-3)
