@@ -67,7 +67,7 @@ ONE_POLE_10 = models.opamp(models.GBW_HZ / 2, ideal=True)
 STABILITY, WORST = "### Stability", "### The worst parts"
 SETTLING, NOISE = "### Bandwidth and settling", "### Noise of one conversion"
 FRONT, DRIVE = "## Analogue front end", "## Emitter drive"
-POLES = "second pole and 90 ohm of the amplifier, which the page leaves out"
+POLES = "90 ohm of the amplifier ahead of 220 ohm and 470 pF, which the page leaves out"
 CASCADE = "pole of the stage and of the amplifier in cascade are slower than their closed loop"
 
 
@@ -202,7 +202,7 @@ def _others() -> list[Figure]:
                lambda: _edge(HIGHEST_V).current_a * 1e3),
         Figure(drive, "dead time, nominal", "us", lambda: _prose(r"so (0\.\d) µs dead time"), lambda: _edge(NOMINAL_V).dead_s * 1e6, floor=0.02),
         Figure(drive, "dead time, an eighth", "us", lambda: _prose(r"and (\d\.\d) µs at an eighth"), lambda: _edge(EIGHTH_V).dead_s * 1e6,
-               1.20, "the gate rises by 1.4 V, not 2 V, for a threshold of 1.1 V"),
+               1.20, "the gate rises by 1.4 V, not 2 V, for a threshold of 1.1 V; with 1.4 V, the most, below"),
         Figure(drive, "time constant, nominal", "us", lambda: _prose(r"0\.33 S: 2\.5 MHz, (0\.\d+) µs"), lambda: _edge(NOMINAL_V).time_constant_s * 1e6),
     ]
 
