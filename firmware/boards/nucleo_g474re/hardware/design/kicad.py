@@ -236,7 +236,13 @@ RULES = {
 
 
 def project_file(project: str) -> dict:
-    net_class = {"name": "Default", "clearance": 0.145, "track_width": 0.2, "via_diameter": 0.5, "via_drill": 0.25}
+    # The widths of wires and buses are those of the drawing, in mils: without them wires are invisible.
+    net_class = {
+        "name": "Default", "clearance": 0.145, "track_width": 0.2, "via_diameter": 0.5, "via_drill": 0.25, "wire_width": 6,
+        "bus_width": 12, "line_style": 0, "diff_pair_gap": 0.25, "diff_pair_via_gap": 0.25, "diff_pair_width": 0.2,
+        "microvia_diameter": 0.3, "microvia_drill": 0.1, "pcb_color": "rgba(0, 0, 0, 0.000)",
+        "schematic_color": "rgba(0, 0, 0, 0.000)", "priority": 2147483647,
+    }
     return {
         "board": {"design_settings": {"rules": RULES}}, "meta": {"filename": f"{project}.kicad_pro", "version": 1},
         "net_settings": {"classes": [net_class], "meta": {"version": 3}},
