@@ -40,7 +40,7 @@ mod terminal;
 mod samples {
     use slitpose_head::scene_file::WIDE;
     use slitpose_head::simulator::{SimulatedBoard, Trajectory, TrajectoryKind};
-    use slitpose_model::{Cells, NoTwist, Outcome, Solution, Tier};
+    use slitpose_model::{Cells, NoTwist, Outcome, Photocurrents, Solution, Tier};
     use slitpose_protocol::{ClockSource, Command, SettingsSource, Status};
     use slitpose_tracking::link::DeviceId;
     use slitpose_tracking::pipeline::{Item, Pipeline, PipelineError, Record, SceneMatch};

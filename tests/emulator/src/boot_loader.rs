@@ -161,8 +161,9 @@ impl<'m> BootLoader<'m> {
     }
 
     fn program(&mut self, block: u16, data: &[u8]) -> Result<u8, Stall> {
-        let Some(start) =
-            self.place(block).filter(|start| start % DOUBLE_WORD_BYTES == 0 && data.len() % DOUBLE_WORD_BYTES == 0)
+        let Some(start) = self
+            .place(block)
+            .filter(|start| start.is_multiple_of(DOUBLE_WORD_BYTES) && data.len().is_multiple_of(DOUBLE_WORD_BYTES))
         else {
             return Ok(ERR_ADDRESS);
         };
