@@ -24,14 +24,13 @@ _CC = 10e-12
 _NOISE_OHM = NOISE_V**2 / (4 * BOLTZMANN * KELVIN)
 
 
-def opamp(gbw_hz: float = GBW_HZ, ideal: bool = False) -> str:
+def opamp(gbw_hz: float = GBW_HZ) -> str:
     """Subcircuit `opa2320`: inputs, rails, output, and the node that the gain stage takes as its inverting input. Tied to
     `inm` that is the amplifier; apart from it the loop is open for a measurement of the loop gain.
 
-    `ideal` has neither second pole nor output impedance: the amplifier of one pole of firmware/analogue. Left out:
-    flicker noise (1/f below some kilohertz, which lit minus dark removes), common-mode rejection, bias current, drift.
+    Left out: flicker noise (1/f below some kilohertz, which lit minus dark removes), common-mode rejection, bias current,
+    drift.
     """
-    second, output = (1e12, 1e-3) if ideal else (SECOND_POLE_HZ, OUTPUT_OHM)
     limit = SLEW_V_PER_S * _CC
     return f"""
 .subckt opa2320 inp inm vp vn out sense
@@ -49,9 +48,9 @@ Dhi g hi clamp
 Dlo lo g clamp
 E2 s 0 g 0 1
 R2 s q 1
-C2 q 0 {1 / (2 * pi * second):.6g}
+C2 q 0 {1 / (2 * pi * SECOND_POLE_HZ):.6g}
 Eo o 0 q 0 1
-Ro o out {output:.6g}
+Ro o out {OUTPUT_OHM:.6g}
 Iq vp vn 1.45m
 .ends
 .model clamp d(is=1e-14 n=0.05)
