@@ -76,6 +76,14 @@ impl fmt::Display for Flags {
 }
 
 /// The two electrode currents of a cell, amperes.
+///
+/// ```
+/// use slitpose_model::Pair;
+/// // Light of 3 µA, 1 mm from the middle of a detector of 12 mm towards electrode 2.
+/// let pair = Pair::divide(3e-6, 1e-3, 12e-3);
+/// let x_a_m = 6e-3 * (pair.i_x2_a - pair.i_x1_a) / pair.total_a();
+/// assert!((x_a_m - 1e-3_f64).abs() < 1e-15);
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pair<S> {
     /// I_X1, current of the electrode at x = −Lx/2.

@@ -26,6 +26,14 @@ pub const MAX_PROFILE_KNOTS: usize = 64;
 pub const DEFAULT_FAINT_A: f64 = 50e-9;
 
 /// The optics of a sensor head.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// assert_eq!(scene.cells.len(), 6);
+/// let without_noise = Scene { noise: None, ..scene };
+/// assert!(CompiledScene::<f64>::compile(&without_noise, Tier::Paper).is_ok());
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
     /// The emitter-slit-detector cells, in the order of their numbers.
@@ -121,6 +129,12 @@ pub struct Emitter {
 }
 
 /// The relative radiant intensity I_rel(γ) of an emitter. Zero from γ = 90° on.
+///
+/// ```
+/// use slitpose_model::Profile;
+/// let Profile::Cosine { exponent } = Profile::from_half_angle(60_f64.to_radians()) else { unreachable!() };
+/// assert!((exponent - 1.0).abs() < 1e-12); // Lambert's
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 #[allow(clippy::large_enum_variant, reason = "no heap on the board; a scene has at most 16 of them")]
 pub enum Profile {
@@ -149,6 +163,13 @@ impl Profile {
 ///
 /// There are two bandwidths because subtracting a dark sample doubles the variance of Johnson noise, of
 /// the dark current's shot noise and of the converter, but not that of the light's shot noise.
+///
+/// ```
+/// use slitpose_model::Noise;
+/// let noise = Noise { shot_bandwidth_hz: 100e3, johnson_bandwidth_hz: 200e3, temperature_k: 300.0, adc_a: 2e-9 };
+/// // Four readings: half the standard deviation.
+/// assert_eq!(noise.averaged(4.0).adc_a, 1e-9);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
     /// One-sided noise bandwidth of the shot noise of light, hertz.

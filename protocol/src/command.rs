@@ -82,6 +82,12 @@ impl Pulse {
 pub const HEAD_PART_BYTES: usize = 128;
 
 /// A part of a compiled head. Parts are sent in order, from offset 0 on, which begins anew.
+///
+/// ```
+/// use slitpose_protocol::{HEAD_PART_BYTES, HeadPart};
+/// let parts: Vec<_> = HeadPart::all(&[7; 300]).collect();
+/// assert_eq!(parts.iter().map(|part| (part.offset, part.bytes.len())).collect::<Vec<_>>(), [(0, 128), (128, 128), (256, 44)]);
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeadPart {
     /// Place of the first byte.
@@ -107,6 +113,12 @@ impl HeadPart {
 pub const SAMPLE_SCANS: u16 = 32;
 
 /// What a board sends of its scans and of the poses that it finds in them.
+///
+/// ```
+/// use slitpose_protocol::Stream;
+/// let every_tenth_pose = Stream { scans: 0, poses: 10 };
+/// assert!(every_tenth_pose.has_pose(20) && !every_tenth_pose.has_pose(21) && !every_tenth_pose.has_scan(20));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stream {
     /// Of this many consecutive scans the first [`SAMPLE_SCANS`] are sent: all, if it is no more than these; none, if
@@ -140,6 +152,12 @@ impl Stream {
 
 /// Hashes of the scene and calibration that a board belongs to. The board only stores
 /// them; the host compares them with the scene and calibration it uses.
+///
+/// ```
+/// use slitpose_protocol::Hashes;
+/// let hashes = Hashes { scene: Some(1), calibration: None };
+/// assert_ne!(hashes.number(), Hashes::default().number());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Hashes {
     /// Hash of the scene; `None` without one.

@@ -39,6 +39,16 @@ const RUN_BYTES: usize = 254;
 /// included. Works in place: value and checksum are written a little after the start,
 /// and move forward as they are stuffed.
 ///
+/// ```
+/// use slitpose_protocol::*;
+/// let mut out = [0; MAX_REQUEST_BYTES];
+/// let packet = encode(&Request { number: 7, command: Command::Start }, &mut out)?;
+/// let mut decoder = Decoder::<MAX_REQUEST_BYTES>::new();
+/// let received = decoder.next::<Request>(&mut &packet[..]).expect("a whole packet");
+/// assert_eq!(received, Ok(Request { number: 7, command: Command::Start }));
+/// # Ok::<(), EncodeError>(())
+/// ```
+///
 /// # Errors
 /// If `out` is too small; its contents are then undefined.
 // Of a message whose kind is known where it is encoded, only that kind's part is left.

@@ -285,6 +285,12 @@ pub struct Edges {
 }
 
 /// An edge of the trigger input: its device tick, doubled, plus one if the line has risen.
+///
+/// ```
+/// use slitpose_protocol::Edge;
+/// let edge = Edge::new(170_000_000, true);
+/// assert!(edge.tick() == 170_000_000 && edge.is_high());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Edge(u64);
 

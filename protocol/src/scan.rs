@@ -11,6 +11,12 @@ use crate::schedule::MAX_CELLS;
 /// Drive level of an emitter: its radiant intensity as a fraction of nominal, in
 /// units of 1/32 768. `Level(0x8000)` is nominal, `Level(0)` off, `Level(0xFFFF)` just
 /// under twice nominal.
+///
+/// ```
+/// use slitpose_protocol::Level;
+/// assert_eq!(Level::NOMINAL.relative(), 1.0);
+/// assert_eq!(Level(0x1000).relative(), 0.125);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Level(pub u16);
 
@@ -36,6 +42,14 @@ pub type WordPair = [u16; 2];
 /// All arrays have room for [`MAX_CELLS`] cells: 184 bytes, no heap. To fill one, start
 /// from [`RawScan::new`] and write through the `_mut` accessors, which return exactly the
 /// existing cells.
+///
+/// ```
+/// use slitpose_protocol::{Level, RawScan};
+/// let mut scan = RawScan::new(6, true);
+/// scan.levels_mut().fill(Level::NOMINAL);
+/// scan.lit_mut()[2] = [9_000, 12_000];
+/// assert_eq!((scan.cells(), scan.lit()[2], scan.dark().map(<[_]>::len)), (6, [9_000, 12_000], Some(6)));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RawScan {
     /// Number of this scan among all scans that the board has taken since its reset, sent
@@ -116,6 +130,15 @@ impl RawScan {
 ///
 /// The scale is signed because a detector's anodes source current, for which a
 /// single-supply stage swings down from a code near the top.
+///
+/// ```
+/// use slitpose_protocol::AdcScaling;
+/// // The code falls from 4031 as the current rises, 2.5 nA a code.
+/// let scaling = AdcScaling { zero_code: 4031.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 32 };
+/// assert!(scaling.validate(4).is_ok());
+/// assert!(scaling.is_saturated(4 * 20, 4) && !scaling.is_saturated(4 * 2000, 4));
+/// assert!((scaling.full_scale_a() - 10e-6).abs() < 0.1e-6);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AdcScaling {
     /// Code of one conversion at zero current; it need not be an integer.

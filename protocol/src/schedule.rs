@@ -31,6 +31,13 @@ pub const MAX_SLOTS: usize = MAX_CELLS + 1;
 pub const MAX_OVERSAMPLING: u16 = 16;
 
 /// A set of emitters lit together: bit k stands for emitter k.
+///
+/// ```
+/// use slitpose_protocol::EmitterSet;
+/// let opposite = EmitterSet::of(&[0, 3]);
+/// assert!(opposite.contains(3) && !opposite.is_dark());
+/// assert_eq!(opposite.emitters().collect::<Vec<_>>(), [0, 3]);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub struct EmitterSet(pub u16);
 
@@ -74,6 +81,17 @@ impl EmitterSet {
 /// A schedule received over the wire may be invalid until [`validate`](Self::validate)
 /// has accepted it. The other methods never panic, but their results are meaningless for
 /// an invalid schedule.
+///
+/// ```
+/// use slitpose_protocol::{EmitterSet, Schedule};
+/// let slots = [EmitterSet::of(&[0, 2, 4]), EmitterSet::of(&[1, 3, 5]), EmitterSet::DARK];
+/// let schedule = Schedule {
+///     tick_hz: 170_000_000, frame_ticks: 42_500, slots: slots.into_iter().collect(), slot_ticks: 5_800,
+///     settling_ticks: 2_210, conversion_ticks: 148, oversampling: 4, cells: 6,
+/// };
+/// assert_eq!(schedule.validate(), Ok(()));
+/// assert_eq!((schedule.frame_rate_hz(), schedule.lit_slot(3), schedule.dark_slot()), (4_000.0, Some(1), Some(2)));
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Schedule {
     /// Device ticks per second.

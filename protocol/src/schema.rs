@@ -87,6 +87,13 @@ const fn key_bytes<const N: usize>(table: &[Schema]) -> [u8; N] {
 
 /// Keys of all kinds known to a peer, in the order of its table: 8 bytes each, little
 /// endian. A newer peer has more keys.
+///
+/// ```
+/// use slitpose_protocol::schema::{MESSAGES, SchemaKeys};
+/// assert_eq!(SchemaKeys::messages().check(&MESSAGES), Ok(()));
+/// let changed: Vec<u8> = SchemaKeys::messages().0.iter().map(|byte| byte ^ 1).collect();
+/// assert!(SchemaKeys(&changed).check(&MESSAGES).is_err());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SchemaKeys<'a>(pub &'a [u8]);
 

@@ -16,6 +16,17 @@ use crate::reading::share;
 use crate::{Calibration, CalibrationFileError, prior};
 
 /// A head, and what its poses rest on. Scenes are large: copies of a head share them.
+///
+/// ```
+/// use slitpose_calibration::Head;
+/// use slitpose_head::scene_file::{ORDERABLE, WIDE};
+/// let head: Head = WIDE.read()?.into();
+/// assert!(head.calibration().is_none());
+/// // A scene that states tolerances: poses have their part in their covariance.
+/// let by_tolerances = Head::as_scene_says(ORDERABLE.read()?)?;
+/// assert!(by_tolerances.file.tolerance.is_some());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Head {
     /// The scene; its optics are those that readings are solved with.

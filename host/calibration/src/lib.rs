@@ -56,6 +56,12 @@ use pose_error::PoseError;
 use prior::Parameters;
 
 /// The parameters of one head, from measurements on it.
+///
+/// ```
+/// use slitpose_calibration::Calibration;
+/// let error = Calibration::from_bytes("head.toml", b"format = 1").unwrap_err().to_string();
+/// assert!(error.contains("head.toml"), "{error}");
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
     /// A word that tells calibrations apart.

@@ -13,6 +13,14 @@ use thiserror::Error;
 use crate::clock::HostInstant;
 
 /// The unique number of a board, 24 hexadecimal digits: in its hello, and its USB serial number.
+///
+/// ```
+/// use slitpose_tracking::link::DeviceId;
+/// let device: DeviceId = "0036002900544850025a0320".parse()?;
+/// assert_eq!(device.0[..4], [0x00, 0x36, 0x00, 0x29]);
+/// assert_eq!(device.to_string(), "0036002900544850025a0320");
+/// # Ok::<(), slitpose_tracking::link::DeviceIdError>(())
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DeviceId(pub [u8; 12]);
 
@@ -76,6 +84,15 @@ impl FromStr for DeviceId {
 
 /// Consecutive reads of a link, for pipeline and capture: the bytes, the time of each read, and the pings sent
 /// meanwhile. Its memory is reused.
+///
+/// ```
+/// use slitpose_tracking::link::Segment;
+/// let mut segment = Segment::default();
+/// segment.push(b"first", None);
+/// segment.push(b"second", None);
+/// let lengths: Vec<_> = segment.chunks().map(|(bytes, _)| bytes.len()).collect();
+/// assert_eq!(lengths, [5, 6]);
+/// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Segment {
     /// The link was opened anew before these bytes, or bytes before them are missing in a capture: an incomplete

@@ -35,6 +35,16 @@ pub use optics::Instant;
 use optics::{Receiver, Source};
 
 /// How the optics of a cell are evaluated.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// let [paper, exact] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }].map(|tier| {
+///     let plan = CompiledScene::<f64>::compile(&scene, tier).expect("it can be built");
+///     plan.photocurrents(0, &Pose::HOME).total_a()
+/// });
+/// assert!((paper / exact - 1.0).abs() < 0.02 && paper != exact);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Tier {
     /// Equations (3) to (5) of De La Cruz et al. 2018 as printed: the spot as one plate, its geometric
@@ -56,6 +66,16 @@ type CompiledCells<S> = Vec<CompiledCell<S>, { crate::scene::MAX_CELLS }>;
 type CompiledCells<S> = alloc::sync::Arc<[CompiledCell<S>]>;
 
 /// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `lanes`.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 })?;
+/// let at_home = plan.photocurrents(0, &Pose::HOME);
+/// let nearer = Pose { translation_m: glam::DVec3::X * 1e-3, ..Pose::HOME };
+/// assert!(plan.photocurrents(0, &nearer).total_a() > at_home.total_a());
+/// # Ok::<(), SceneError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct CompiledScene<S: Scalar> {
     cells: CompiledCells<S>,

@@ -13,6 +13,17 @@ use super::weights::redundancy;
 pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 
 /// Whether there is a pose, and how good; else why not.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 })?;
+/// let dark = Photocurrents { cells: [Reading::Missing; 6].into_iter().collect() };
+/// let outcome = solver.solve(&dark, Start::Cold, &MotionPrior::AT_REST).outcome;
+/// assert!(!outcome.has_pose());
+/// assert_eq!(outcome.as_str(), "unobservable");
+/// # Ok::<(), SceneError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outcome {
     /// A pose from all cells of the scene, and the data fit it.
@@ -116,6 +127,13 @@ impl fmt::Display for Directions {
 }
 
 /// A set of cells.
+///
+/// ```
+/// use slitpose_model::Cells;
+/// let cells = Cells::from_bits(0b10_0101);
+/// assert_eq!(cells.iter().collect::<Vec<_>>(), [0, 2, 5]);
+/// assert!(cells.contains(2) && cells.count() == 3);
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cells(u16);
 
@@ -162,6 +180,18 @@ impl Cells {
 }
 
 /// A pose with its covariance.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 })?;
+/// let currents = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &Pose::HOME)));
+/// let estimate = solver.solve(&currents, Start::Cold, &MotionPrior::AT_REST).estimate.expect("a pose");
+/// let [x_m, .., about_z_rad] = estimate.sigma();
+/// assert!(x_m > 0.0 && about_z_rad > 0.0);
+/// assert!(estimate.nees(&Pose::HOME).expect("a covariance") < 1e-3, "there is no noise");
+/// # Ok::<(), SceneError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate<S = f64> {
     /// `base_from_tool` at the reference instant.

@@ -22,6 +22,14 @@ pub enum Reading<T = f64> {
 }
 
 /// The photocurrents of all cells of a scene, in the order of its cells.
+///
+/// ```
+/// use slitpose_model::*;
+/// let mut currents = Photocurrents::of_pairs([Pair { i_x1_a: 1e-6, i_x2_a: 2e-6 }; 6]);
+/// currents.cells[3] = Reading::Saturated;
+/// currents.cells[4] = Reading::Missing;
+/// assert_eq!(currents.cells.iter().filter(|reading| matches!(reading, Reading::Light(_))).count(), 4);
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Photocurrents<T = f64> {
     /// One reading per cell.

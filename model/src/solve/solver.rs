@@ -30,6 +30,20 @@ pub enum Start<'a> {
 /// Estimates poses from the photocurrents of one scene.
 ///
 /// Holds the compiled scene and no state: every solve is a function of its arguments.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 })?;
+/// let truth = Pose::from_vectors(glam::DVec3::splat(1e-3), glam::DVec3::Z * 0.1);
+/// let mut currents = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &truth)));
+/// currents.cells[5] = Reading::Missing;
+/// let solution = solver.solve(&currents, Start::Near(&Pose::HOME), &MotionPrior::AT_REST);
+/// assert!(!solution.cells_used.contains(5));
+/// let found = solution.estimate.expect("a pose").pose;
+/// assert!(found.translation_m.distance(truth.translation_m) < 1e-9);
+/// # Ok::<(), SceneError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Solver<S: Number, P = CompiledScene<S>> {
     pub(crate) compiled: Compiled<S, P>,

@@ -31,6 +31,24 @@ pub struct Tracked<S: Number = f64> {
 }
 
 /// Solves consecutive frames.
+///
+/// ```
+/// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// use slitpose_model::*;
+/// let tier = Tier::Exact { tolerance: 1e-6 };
+/// let plan = CompiledScene::<f64>::compile(&scene, tier)?;
+/// let mut tracker = Tracker::<f64>::new(Solver::new(&scene, tier)?, 250e-6);
+/// let mut last = None;
+/// for frame in 0..200_u32 {
+///     // 10 mm/s along x.
+///     let pose = Pose { translation_m: glam::DVec3::X * 2.5e-6 * f64::from(frame), ..Pose::HOME };
+///     let currents = Photocurrents::of_pairs((0..6).map(|cell| plan.photocurrents(cell, &pose)));
+///     last = Some(tracker.track(frame.into(), &currents));
+/// }
+/// let twist = last.expect("frames").twist.expect("a velocity").twist;
+/// assert!((twist.linear_m_per_s.x - 10e-3).abs() < 1e-4);
+/// # Ok::<(), SceneError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Tracker<S: Scalar> {
     poses: PoseTracker<S>,

@@ -9,6 +9,20 @@ use crate::scene_file::{FrontEnd, SceneFile};
 const MIN_GAIN: f64 = 1e-9;
 
 /// Converts the scans of one configuration of one board.
+///
+/// ```
+/// use slitpose_head::{front_end::{self, Stage}, scene_file::WIDE};
+/// use slitpose_protocol::{AdcScaling, Level, RawScan};
+///
+/// let file = WIDE.read()?;
+/// let schedule = front_end::configuration(&file)?.schedule;
+/// let scaling = AdcScaling { zero_code: 4031.0, amperes_per_code: -2.5e-9, bits: 12, saturation_code: 32 };
+/// let stage = Stage::new(&file, &schedule, &scaling);
+/// let mut scan = RawScan::new(6, true);
+/// scan.levels_mut().fill(Level(0));
+/// assert!(stage.photocurrents(&scan).cells.iter().all(|cell| *cell == slitpose_model::Reading::Missing), "dark emitters");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Stage {
     scaling: AdcScaling,

@@ -91,6 +91,24 @@ pub fn table_noise(file: &SceneFile) -> Result<Option<Noise>, TimingError> {
 const QUEUE_BYTES: usize = 25 * 1024;
 
 /// The firmware's core over simulated hardware.
+///
+/// ```
+/// use slitpose_head::{scene_file::WIDE, simulator::{SimulatedBoard, Trajectory, TrajectoryKind}};
+/// use slitpose_model::Tier;
+/// use slitpose_protocol::{Command, Decoder, MAX_MESSAGE_BYTES, Message};
+///
+/// let motion = Trajectory::of_kind(TrajectoryKind::Smooth, 1, 10.0);
+/// let mut board = SimulatedBoard::new(&WIDE.read()?, motion, Tier::Paper, 1)?;
+/// board.ask(1, Command::Start);
+/// let mut bytes = Vec::new();
+/// (0..8).for_each(|_| board.step(&mut bytes));
+/// let (mut decoder, mut rest, mut batches) = (Decoder::<MAX_MESSAGE_BYTES>::new(), &bytes[..], 0);
+/// while let Some(message) = decoder.next::<Message>(&mut rest) {
+///     batches += usize::from(matches!(message, Ok(Message::Batch(_))));
+/// }
+/// assert_eq!(batches, 2, "of four scans each");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct SimulatedBoard {
     board: Box<Core>,

@@ -62,6 +62,12 @@ impl TrajectoryKind {
 }
 
 /// The pose of the tool as a function of time.
+///
+/// ```
+/// use slitpose_head::simulator::{Trajectory, TrajectoryKind};
+/// let hand = Trajectory::of_kind(TrajectoryKind::Hand, 1, 10.0);
+/// assert_eq!(hand.pose(2.0), Trajectory::of_kind(TrajectoryKind::Hand, 1, 10.0).pose(2.0), "the same seed");
+/// ```
 #[derive(Clone, Debug)]
 pub struct Trajectory(Motion);
 

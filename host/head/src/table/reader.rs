@@ -55,6 +55,16 @@ impl Names {
 }
 
 /// A CSV file that is read row by row, or many rows at a time.
+///
+/// ```
+/// use slitpose_head::table::TableReader;
+/// let mut table = TableReader::new("measured.csv", &b"time_s,tx_mm\n0,1.5\n0.1,oops\n"[..])?;
+/// let tx = table.column("tx_mm")?;
+/// assert_eq!(table.next_row()?.expect("a row").number(tx)?, 1.5);
+/// let error = table.next_row()?.expect("a row").number(tx).unwrap_err().to_string();
+/// assert!(error.contains("measured.csv") && error.contains("oops"), "{error}");
+/// # Ok::<(), slitpose_head::table::TableError>(())
+/// ```
 pub struct TableReader {
     names: Arc<Names>,
     csv: csv::Reader<Lines>,

@@ -78,6 +78,20 @@ impl End {
 }
 
 /// Reads a capture, or a plain byte stream as it comes from a port, which has no times.
+///
+/// ```
+/// use std::{io::Cursor, path::Path};
+/// use slitpose_tracking::{capture::CaptureReader, link::Segment};
+/// // The bytes of a port, as `simulate --raw` writes them, are a capture, too.
+/// let bytes = b"\x01\x02\x00".repeat(100);
+/// let mut reader = CaptureReader::new(Path::new("port.bin"), Cursor::new(bytes))?;
+/// let (mut segment, mut read) = (Segment::default(), 0);
+/// while reader.next(&mut segment)?.is_some() {
+///     read += segment.bytes.len();
+/// }
+/// assert_eq!(read, 300);
+/// # Ok::<(), slitpose_tracking::capture::CaptureError>(())
+/// ```
 pub struct CaptureReader<R = File> {
     path: PathBuf,
     input: Input<R>,
