@@ -29,6 +29,7 @@ pub const DEFAULT_FAINT_A: f64 = 50e-9;
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// assert_eq!(scene.cells.len(), 6);
 /// let without_noise = Scene { noise: None, ..scene };

@@ -38,6 +38,7 @@ use optics::{Receiver, Source};
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// let [paper, exact] = [Tier::Paper, Tier::Exact { tolerance: 1e-6 }].map(|tier| {
 ///     let plan = CompiledScene::<f64>::compile(&scene, tier).expect("it can be built");
@@ -69,6 +70,7 @@ type CompiledCells<S> = alloc::sync::Arc<[CompiledCell<S>]>;
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// let plan = CompiledScene::<f64>::compile(&scene, Tier::Exact { tolerance: 1e-6 })?;
 /// let at_home = plan.photocurrents(0, &Pose::HOME);

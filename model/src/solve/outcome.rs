@@ -16,6 +16,7 @@ pub const AXES: [&str; 6] = ["tx", "ty", "tz", "rx", "ry", "rz"];
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 })?;
 /// let dark = Photocurrents { cells: [Reading::Missing; 6].into_iter().collect() };
@@ -183,6 +184,7 @@ impl Cells {
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 })?;
 /// let currents = Photocurrents::of_pairs((0..6).map(|cell| solver.plan().photocurrents(cell, &Pose::HOME)));

@@ -33,6 +33,7 @@ pub enum Start<'a> {
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// let solver = Solver::<f64>::new(&scene, Tier::Exact { tolerance: 1e-6 })?;
 /// let truth = Pose::from_vectors(glam::DVec3::splat(1e-3), glam::DVec3::Z * 0.1);

@@ -34,6 +34,7 @@ pub struct Tracked<S: Number = f64> {
 ///
 /// ```
 /// # let scene: slitpose_model::Scene = include!(concat!(env!("CARGO_MANIFEST_DIR"), "/doc/ring.rs"));
+/// // `scene` has six cells in a ring, as in the example of this crate.
 /// use slitpose_model::*;
 /// let tier = Tier::Exact { tolerance: 1e-6 };
 /// let plan = CompiledScene::<f64>::compile(&scene, tier)?;
