@@ -12,7 +12,7 @@
 //! | 0x9f3 | 1 | major version of the protocol |
 //! | 0x9f4 | 4 | address behind the image, little endian |
 //! | ... | | code and constants |
-//! | end - 8 | 8 | zeros: written last, erased first |
+//! | end - 8 | 8 | zeros, written last |
 
 use slitpose_protocol::PROTOCOL;
 
@@ -24,6 +24,9 @@ pub const PAGE_BYTES: usize = 2048;
 pub const MAX_IMAGE_END: u32 = FLASH_BASE + 0x4_0000;
 /// Bytes of the double word that marks the end.
 pub const END_MARK_BYTES: usize = 8;
+/// Address of the double word with versions and end: zeros, which may be programmed over anything, make an image one that is
+/// not whole.
+pub const END_ADDRESS: u32 = FLASH_BASE + 0x9f0;
 
 const MAGIC: [u8; 8] = *b"slitpose";
 const HEADER_OFFSET: usize = PAGE_BYTES + 0x1d8;
@@ -69,18 +72,17 @@ impl ImageHeader {
         bytes
     }
 
-    /// Reads the header in `flash`, the bytes from [`FLASH_BASE`] on. `None` if there is no whole image: no header, or no
-    /// end where the header says.
-    pub fn of_flash(flash: &[u8]) -> Option<Self> {
+    /// Reads the header in `flash`, the bytes from [`FLASH_BASE`] on, and gives the bytes to the end of the image, too. `None`
+    /// if there is no whole image: no header, or no end where the header says.
+    pub fn of_flash(flash: &[u8]) -> Option<(Self, &[u8])> {
         let (header, end) = flash.get(HEADER_OFFSET..)?.split_first_chunk::<HEADER_BYTES>()?;
-        let end = u32::from_le_bytes(*end.first_chunk()?).checked_sub(FLASH_BASE)? as usize;
-        let (_, mark) = flash.get(..end)?.split_last_chunk::<END_MARK_BYTES>()?;
+        let end = u32::from_le_bytes(*end.first_chunk()?);
+        let whole = flash.get(..end.checked_sub(FLASH_BASE)? as usize)?;
+        let is_whole = end <= MAX_IMAGE_END && end.is_multiple_of(8) && whole.ends_with(&[0; END_MARK_BYTES]);
         let [board, firmware] = [&header[8..24], &header[24..27]];
-        (header[..8] == MAGIC && *mark == [0; END_MARK_BYTES]).then_some(Self {
-            board: board.try_into().ok()?,
-            firmware: firmware.try_into().ok()?,
-            protocol_major: header[27],
-        })
+        let header =
+            Self { board: board.try_into().ok()?, firmware: firmware.try_into().ok()?, protocol_major: header[27] };
+        (flash[HEADER_OFFSET..].starts_with(&MAGIC) && is_whole).then_some((header, whole))
     }
 
     /// Name of the board the image is for.

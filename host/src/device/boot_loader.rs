@@ -17,31 +17,62 @@ const LOOK_AGAIN: Duration = Duration::from_millis(200);
 /// A boot loader that listens.
 pub(crate) struct BootLoader(Interface);
 
-impl BootLoader {
-    /// Opens the only boot loader, or that of `board`, once it is there. `None`: it has not come `within` this time.
+/// Boot loaders on USB.
+pub(crate) struct BootLoaders(Vec<DeviceInfo>);
+
+impl BootLoaders {
+    /// Those that are there now.
+    pub(crate) fn now() -> io::Result<Self> {
+        let is_one = |device: &DeviceInfo| (device.vendor_id(), device.product_id()) == BOOT_LOADER;
+        Ok(Self(nusb::list_devices().wait()?.filter(is_one).collect()))
+    }
+
+    fn of(&self, board: DeviceId) -> Option<&DeviceInfo> {
+        self.0.iter().find(|device| device.serial_number() == Some(&serial(board)))
+    }
+
+    /// Opens that of `board`, or without one the only one. `None`: it is not there.
     ///
     /// # Errors
-    /// If it may not be opened, or if there are several and none is that of `board`.
-    pub(crate) fn await_one(board: Option<DeviceId>, within: Duration) -> io::Result<Option<Self>> {
-        let begun = Instant::now();
+    /// If it may not be opened, or if there are several.
+    pub(crate) fn open(&self, board: Option<DeviceId>) -> io::Result<Option<BootLoader>> {
+        let device = match (board, &self.0[..]) {
+            (Some(board), _) => self.of(board),
+            (None, [only]) => Some(only),
+            (None, []) => None,
+            (None, several) => {
+                let text = format!("{} boot loaders are on USB; name the board with --device SERIAL", several.len());
+                return Err(io::Error::other(text));
+            }
+        };
+        device.map(BootLoader::open).transpose()
+    }
+
+    /// Waits for that of `board`, which was told to start it and was none of these, and opens it. A boot loader with a serial
+    /// number of its own is taken at the end of the time, if it is the only new one.
+    ///
+    /// # Errors
+    /// If it does not come `within` this time, or may not be opened.
+    pub(crate) fn await_new(&self, board: DeviceId, within: Duration) -> io::Result<BootLoader> {
+        let until = Instant::now() + within;
         loop {
-            let mut there: Vec<_> = nusb::list_devices()
-                .wait()?
-                .filter(|device| (device.vendor_id(), device.product_id()) == BOOT_LOADER)
-                .collect();
-            let is_it = |device: &DeviceInfo| board.is_some_and(|board| device.serial_number() == Some(&serial(board)));
-            match there.iter().position(is_it).or((there.len() == 1).then_some(0)) {
-                Some(index) => return Self::open(&there.swap_remove(index)).map(Some),
-                None if there.len() > 1 => {
-                    let text = format!("{} boot loaders are on USB; unplug those of other boards", there.len());
-                    return Err(io::Error::other(text));
-                }
-                None if begun.elapsed() >= within => return Ok(None),
-                None => std::thread::sleep(LOOK_AGAIN),
+            let there = Self::now()?;
+            let is_last = Instant::now() >= until;
+            let is_new = |device: &&DeviceInfo| self.0.iter().all(|before| before.id() != device.id());
+            let new: Vec<_> = there.0.iter().filter(is_new).collect();
+            let found = there.of(board).or(new.first().copied().filter(|_| is_last && new.len() == 1));
+            match found.map(BootLoader::open) {
+                Some(Ok(boot_loader)) => return Ok(boot_loader),
+                // The system may not have given its rights yet.
+                Some(Err(error)) if is_last => return Err(error),
+                None if is_last => return Err(io::ErrorKind::NotFound.into()),
+                _ => std::thread::sleep(LOOK_AGAIN),
             }
         }
     }
+}
 
+impl BootLoader {
     fn open(device: &DeviceInfo) -> io::Result<Self> {
         let interface = device.open().wait()?.claim_interface(0).wait()?;
         // The first setting is the flash memory.

@@ -12,7 +12,7 @@
 
 use std::io;
 
-pub(crate) use boot_loader::BootLoader;
+pub(crate) use boot_loader::{BootLoader, BootLoaders};
 pub(crate) use conversation::{Conversation, HELLO_WITHIN};
 pub(crate) use discovery::{Contact, Selector, find, list};
 pub use error::{DeviceError, Scanless};

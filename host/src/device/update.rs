@@ -1,14 +1,15 @@
 //! New firmware for a board by the boot loader in its MCU: USB DFU with ST's extensions (AN3156).
 //!
-//! The first page of flash, the boot stub, starts the firmware only if it is whole. An update erases the firmware before it
-//! writes the first byte, and writes the mark of its end after all else has been read back: whenever the supply or the cable
-//! fails, the board starts in its boot loader again, and the next update completes it. Settings and head lie elsewhere.
+//! The first page of flash, the boot stub, starts the firmware only if it is whole. An update first overwrites the end in the
+//! header with zeros, erases the firmware, and writes the mark of the end after all else has been read back: whenever the
+//! supply or the cable fails, the board starts in its boot loader again, and the next update completes it. Settings and head
+//! lie elsewhere.
 
 use std::io;
 use std::thread::sleep;
 use std::time::Duration;
 
-use slitpose_firmware::image::{END_MARK_BYTES, FLASH_BASE, ImageHeader, MAX_IMAGE_END, PAGE_BYTES};
+use slitpose_firmware::image::{END_ADDRESS, END_MARK_BYTES, FLASH_BASE, ImageHeader, PAGE_BYTES};
 use slitpose_protocol::PROTOCOL;
 use thiserror::Error;
 
@@ -27,9 +28,15 @@ pub enum UpdateError {
     )]
     OtherProtocol { image: u8 },
     #[error(
-        "the boot loader refused {what} at {address:#010x} with status {status} (USB DFU 1.1, 6.1.2); update again"
+        "the boot loader refused {what} at {address:#010x} with status {status} (USB DFU 1.1, 6.1.2); update again, and if \
+         that is refused, too, remove the protection of the MCU's flash memory with STM32CubeProgrammer"
     )]
     Refused { what: &'static str, address: u32, status: u8 },
+    #[error(
+        "the MCU in its boot loader has no boot stub of slitpose, so it may be another device; unplug what is no slitpose \
+         board, or put the firmware there with dfu-util (firmware/README.md)"
+    )]
+    Foreign,
     #[error("the flash at {address:#010x} reads back otherwise than it was written; update again")]
     Differs { address: u32 },
     #[error("the boot loader does not answer; check the cable, then update again: the board waits in its boot loader")]
@@ -51,8 +58,7 @@ impl Firmware {
     /// If the file is damaged or none of a board's, or if its protocol is another than this program's.
     pub fn read(file: &[u8]) -> Result<Self, UpdateError> {
         let flash = if file.starts_with(b"DfuSe") { dfuse_content(file)? } else { file };
-        let header = ImageHeader::of_flash(flash)
-            .filter(|_| flash.len() <= (MAX_IMAGE_END - FLASH_BASE) as usize && flash.len().is_multiple_of(8))
+        let (header, flash) = ImageHeader::of_flash(flash)
             .ok_or(UpdateError::NotFirmware { reason: "it has no whole image with the name of a board" })?;
         if header.protocol_major != PROTOCOL.major {
             return Err(UpdateError::OtherProtocol { image: header.protocol_major });
@@ -133,20 +139,37 @@ mod state {
     pub const ERROR: u8 = 10;
 }
 
+/// errSTALLEDPKT.
+const STALLED: u8 = 15;
+
 /// The first block of data; commands are block 0 (AN3156).
 const FIRST_BLOCK: u16 = 2;
 
 /// A boot loader is idle after two requests at most; a page is erased in 25 ms, and it asks for that time itself.
 const MAX_ATTEMPTS: usize = 10;
 
+/// A boot loader does not ask for more time than this.
+const MAX_WAIT: Duration = Duration::from_secs(2);
+
+/// What is known of the MCU behind a boot loader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Known {
+    /// It is a board, which was told to start its boot loader.
+    Board,
+    /// It was in its boot loader: it is a board only if it has the boot stub.
+    Waiting,
+}
+
 /// Puts `firmware` into the flash behind `port`, reads it back, and starts it. `progress` gets the bytes done, erased ones,
 /// written ones and those read back, of three times [`Firmware::bytes`].
 ///
 /// # Errors
-/// If the boot loader refuses a step, goes away, or reads back other bytes. Nothing is started then.
+/// If the boot loader refuses a step, goes away, or reads back other bytes, or if the MCU may be another device's. Nothing is
+/// started then.
 pub fn update(
     port: &mut impl DfuPort,
     firmware: &Firmware,
+    known: Known,
     mut progress: impl FnMut(usize),
 ) -> Result<(), UpdateError> {
     let mut flash = Flash { port };
@@ -154,10 +177,12 @@ pub fn update(
     let (stub, image) = firmware.flash.split_at(PAGE_BYTES);
     // Only a board whose firmware has none yet, or another one: until it is written, a power cut needs the BOOT0 pin.
     if flash.read(FLASH_BASE, PAGE_BYTES)? != stub {
-        flash.erase(FLASH_BASE)?;
-        flash.write(FLASH_BASE, stub)?;
-        flash.verify(FLASH_BASE, stub)?;
+        if known == Known::Waiting {
+            return Err(UpdateError::Foreign);
+        }
+        flash.replace(FLASH_BASE, stub)?;
     }
+    flash.invalidate()?;
     let pages = || (FLASH_BASE + PAGE_BYTES as u32..).step_by(PAGE_BYTES);
     let mut done = stub.len();
     let mut advance = |bytes: usize| {
@@ -167,6 +192,10 @@ pub fn update(
     for (page, content) in pages().zip(image.chunks(PAGE_BYTES)) {
         flash.erase(page)?;
         advance(content.len());
+    }
+    // Of a flash memory in one bank, pages are twice as large: the stub went with the first.
+    if flash.read(FLASH_BASE, PAGE_BYTES)? != stub {
+        flash.replace(FLASH_BASE, stub)?;
     }
     let (content, mark) = image.split_at(image.len() - END_MARK_BYTES);
     for (page, content) in pages().zip(content.chunks(PAGE_BYTES)) {
@@ -195,7 +224,7 @@ impl<P: DfuPort> Flash<'_, P> {
         let &[status, a, b, c, state, _] = &answer[..] else {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "a status has six bytes").into());
         };
-        sleep(Duration::from_millis(u32::from_le_bytes([a, b, c, 0]).into()));
+        sleep(Duration::from_millis(u32::from_le_bytes([a, b, c, 0]).into()).min(MAX_WAIT));
         Ok((status, state))
     }
 
@@ -214,14 +243,19 @@ impl<P: DfuPort> Flash<'_, P> {
 
     /// Sends a block and has it carried out.
     fn download(&mut self, block: u16, data: &[u8], what: &'static str, address: u32) -> Result<(), UpdateError> {
-        self.port.send(request::DOWNLOAD, block, data)?;
-        loop {
+        let refused = |status| UpdateError::Refused { what, address, status };
+        self.port.send(request::DOWNLOAD, block, data).map_err(|error| match error.kind() {
+            io::ErrorKind::ConnectionReset => refused(STALLED),
+            _ => error.into(),
+        })?;
+        for _ in 0..MAX_ATTEMPTS {
             match self.status()? {
                 (_, state::BUSY) => {}
                 (0, state::DOWNLOAD_IDLE) => return Ok(()),
-                (status, _) => return Err(UpdateError::Refused { what, address, status }),
+                (status, _) => return Err(refused(status)),
             }
         }
+        Err(io::Error::other("the boot loader stays busy").into())
     }
 
     /// A command of one byte and an address.
@@ -242,6 +276,22 @@ impl<P: DfuPort> Flash<'_, P> {
     fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), UpdateError> {
         self.set_address(address)?;
         self.download(FIRST_BLOCK, bytes, "to write", address)
+    }
+
+    /// Erases a page, writes it, and reads it back.
+    fn replace(&mut self, page: u32, bytes: &[u8]) -> Result<(), UpdateError> {
+        self.erase(page)?;
+        self.write(page, bytes)?;
+        self.verify(page, bytes)
+    }
+
+    /// Makes the image one that is not whole, before anything of it is erased. Zeros may be programmed over anything (RM0440,
+    /// "Programming errors"); if the boot loader refuses that, the first page that is erased does it.
+    fn invalidate(&mut self) -> Result<(), UpdateError> {
+        match self.write(END_ADDRESS, &[0; END_MARK_BYTES]) {
+            Err(UpdateError::Refused { .. }) => self.become_idle(),
+            done => done,
+        }
     }
 
     fn read(&mut self, address: u32, bytes: usize) -> Result<Vec<u8>, UpdateError> {
@@ -314,6 +364,8 @@ mod tests {
         assert!(refused(&dfuse(FLASH_BASE + 8, &flash)).contains("other parts"));
         let mut unfinished = flash.clone();
         unfinished[2 * PAGE_BYTES - 1] = 1;
+        // What follows the image is none of it.
+        assert_eq!(Firmware::read(&[&flash[..], &[1; 16]].concat()).expect("an image"), firmware);
         for file in [&unfinished[..], &flash[..flash.len() - 8], &flash[..100], b""] {
             assert!(refused(file).contains("no whole image"));
         }

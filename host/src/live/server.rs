@@ -76,6 +76,12 @@ impl Shared {
         self.plan.recordings.as_ref().ok_or(Refusal::NO_RECORDER)
     }
 
+    /// The scene whose tool may be dragged.
+    pub(super) fn scene(&self) -> Result<&SceneView, Refusal> {
+        let instead = "`slitpose scene view SCENE` has one";
+        self.plan.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })
+    }
+
     /// What clients share to whom the capture `name` is played; the player ends with the last of them.
     pub(super) fn played(&self, name: &str) -> Result<Arc<Self>, Refusal> {
         self.recordings()?.played(name, |control, mut inputs| {

@@ -244,6 +244,14 @@ impl Session {
                 Ok(text) => return self.send(text).await,
                 Err(refusal) => Err(refusal),
             },
+            Request::Map { plane, t_m, r_rad } => {
+                let shared = Arc::clone(&self.shared);
+                let map = spawn_blocking(move || shared.scene()?.map(plane, t_m, r_rad)).await;
+                match map.map_err(|_| Gone)? {
+                    Ok(map) => return self.answer(map).await,
+                    Err(refusal) => Err(refusal),
+                }
+            }
         };
         match done {
             Ok(()) => Ok(()),
@@ -279,10 +287,8 @@ impl Session {
     }
 
     fn drawn_at(&mut self, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Utf8Bytes, Refusal> {
-        let instead = "`slitpose scene view SCENE` has one";
-        let view = self.shared.plan.scene.as_ref().ok_or(Refusal::NotHere { what: "tool to drag", instead })?;
         self.drawn += 1;
-        view.frame(self.drawn, t_m, r_rad).map(Utf8Bytes::from)
+        self.shared.scene()?.frame(self.drawn, t_m, r_rad).map(Utf8Bytes::from)
     }
 
     async fn refuse(&mut self, refusal: &Refusal) -> Result<(), Gone> {

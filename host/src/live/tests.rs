@@ -19,7 +19,7 @@ use super::*;
 use crate::http::{LIFETIME, MOST};
 use crate::samples::poses;
 use slitpose_tracking::clock::HostInstant;
-use slitpose_tracking::page::{Bins, FINE_HZ, Order, PlayerOrder, Sample, Sampler, SceneView};
+use slitpose_tracking::page::{Bins, FINE_HZ, MAP_POINTS, Order, PlayerOrder, Sample, Sampler, SceneView};
 use slitpose_tracking::pipeline::Record;
 
 const TOKEN: &str = "correct-horse-battery";
@@ -418,15 +418,30 @@ fn a_tool_is_dragged_where_a_frame_sees_it_or_says_why_not() {
     let head = WIDE.read().unwrap().into();
     let (server, _) = serve("127.0.0.1:0", None, Some(SceneView::of(&head).unwrap()));
     let mut client = Client::greeted(&server);
-    let mut drag = |t_m: [f64; 3]| {
-        client.say(&json!({"kind": "pose", "t_m": t_m, "r_rad": [0.0, 0.1, 0.0]}));
+    let mut ask = |mut request: Value, t_m: [f64; 3]| {
+        (request["t_m"], request["r_rad"]) = (json!(t_m), json!([0.0, 0.1, 0.0]));
+        client.say(&request);
         loop {
             let message = client.hear().unwrap();
-            if message["kind"] == "frame" || message["kind"] == "refused" {
+            if ["frame", "map", "refused"].iter().any(|kind| message["kind"] == *kind) {
                 return message;
             }
         }
     };
+    // In the middle of a plane through the tool the accuracy is that of a frame there.
+    let map = ask(json!({"kind": "map", "plane": "xz"}), [0.0, 1e-3, 0.0]);
+    let at = |index: usize| map["sigma_m"][index].as_f64();
+    assert_eq!(map["sigma_m"].as_array().map(Vec::len), Some(MAP_POINTS * MAP_POINTS));
+    let sigma = numbers(&ask(json!({"kind": "pose"}), [0.0, 1e-3, 0.0])["sigma"]);
+    let middle_m = sigma[..3].iter().map(|sigma| sigma * sigma).sum::<f64>().sqrt();
+    assert!((at(MAP_POINTS * MAP_POINTS / 2).unwrap() / middle_m - 1.0).abs() < 1e-3, "{middle_m}");
+    // The least z, then the least x, and the last of the first row.
+    for (index, t_m) in [(0, [-3.3e-3, 1e-3, -3.3e-3]), (MAP_POINTS - 1, [3.3e-3, 1e-3, -3.3e-3])] {
+        let sigma = numbers(&ask(json!({"kind": "pose"}), t_m)["sigma"]);
+        let there_m = sigma[..3].iter().map(|sigma| sigma * sigma).sum::<f64>().sqrt();
+        assert!((at(index).unwrap() / there_m - 1.0).abs() < 1e-3, "{index}: {there_m}");
+    }
+    let mut drag = |t_m: [f64; 3]| ask(json!({"kind": "pose"}), t_m);
     let seen = drag([1e-3, 0.0, -1e-3]);
     assert_eq!((&seen["status"], &seen["truth"]), (&json!("converged"), &json!(null)));
     assert!((numbers(&seen["t_m"])[0] - 1e-3).abs() < 1e-9, "{seen}");

@@ -350,6 +350,9 @@ impl Station {
                 self.drawn += 1;
                 self.out.push(view.frame(self.drawn, t_m, r_rad)?);
             }
+            (Request::Map { plane, t_m, r_rad }, Source::Scene { view, .. }) => {
+                return view.map(plane, t_m, r_rad).map(Some);
+            }
             // The page begins one with the name of its file.
             (Request::Record { on: false }, Source::Board(board)) => board.end_recording(now),
             (Request::Note { text, ago_s }, Source::Board(board)) => {
@@ -366,7 +369,9 @@ impl Station {
             }
             (Request::SetFrame { over_s, .. }, Source::Board(board)) => board.pipeline.zero(over_s),
             (Request::Player(order), Source::Replay(replay)) => replay.obey(&order)?,
-            (Request::Pose { .. }, _) => return not_here("tool to drag", "choose to look at a scene"),
+            (Request::Pose { .. } | Request::Map { .. }, _) => {
+                return not_here("tool to drag", "choose to look at a scene");
+            }
             (Request::Player(_), _) => return not_here("player", "open a capture"),
             (Request::SetFrame { .. }, _) => return not_here("frame to set", "choose a board or a simulated head"),
             (Request::Record { .. } | Request::Note { .. }, _) => {

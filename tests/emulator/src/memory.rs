@@ -145,9 +145,13 @@ impl FlashArray {
             return;
         }
         for at in (offset..offset + length).step_by(DOUBLE_WORD_BYTES) {
-            let after = self.double_word(at) | Bits::seeded(at as u64).with_density(complete);
+            let before = self.double_word(at);
+            let after = before | Bits::seeded(at as u64).with_density(complete);
             self.bytes[at..at + DOUBLE_WORD_BYTES].copy_from_slice(&after.to_le_bytes());
-            self.torn.insert(at);
+            // One that has not changed yet still fits its ECC.
+            if after != before {
+                self.torn.insert(at);
+            }
         }
     }
 }

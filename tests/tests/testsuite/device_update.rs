@@ -4,7 +4,7 @@ use std::io;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use slitpose::device::update::{DfuPort, Firmware, UpdateError, update};
+use slitpose::device::update::{DfuPort, Firmware, Known, UpdateError, update};
 use slitpose_emulator::boot_loader::{BootLoader, Stall};
 use slitpose_emulator::faults::Faults;
 use slitpose_emulator::image::Image;
@@ -72,6 +72,8 @@ impl Bench {
     fn enter_boot_loader(&mut self) {
         self.rig.send(Command::Reboot(BootTarget::BootLoader));
         assert_eq!(self.rig.run_for(0.3), Stop::BootLoader);
+        // The boot loader takes its vectors from address 0.
+        assert_eq!(self.rig.machine.cpu.vectors(), 0);
     }
 
     /// Updates; the supply fails in operation `cut` on the flash memory, after this share of its time. Gives the operations.
@@ -79,7 +81,7 @@ impl Bench {
         let mut boot_loader = BootLoader::new(&mut self.rig.machine);
         boot_loader.cut = cut;
         let mut cable = Cable(boot_loader, None);
-        let result = update(&mut cable, firmware, |_| {});
+        let result = update(&mut cable, firmware, Known::Board, |_| {});
         let operations = cable.0.operations;
         if cut.is_some() {
             self.rig.machine.cut_power();
@@ -117,8 +119,11 @@ fn a_hundred_updates_with_cuts_of_the_supply_leave_no_board_that_cannot_be_updat
         assert_eq!(bench.stored(), Some(HASHES));
         bench.enter_boot_loader();
     }
-    // Another page of the boot stub, as of a board without one, is replaced.
+    // Another page of the boot stub, as of a board without one, is replaced; a device that only waits is not touched.
     bench.rig.machine.board.flash.array.load(0x400, &[0]);
+    let mut cable = Cable(BootLoader::new(&mut bench.rig.machine), None);
+    let result = update(&mut cable, &firmware[0], Known::Waiting, |_| {});
+    assert!(matches!(result, Err(UpdateError::Foreign)) && cable.0.operations == 0, "{result:?}");
     let (_, result) = bench.update(&firmware[0], None);
     result.expect("nothing disturbs it");
     assert_eq!(bench.stored(), Some(HASHES));
@@ -155,7 +160,7 @@ fn a_hundred_updates_with_cuts_of_the_supply_leave_no_board_that_cannot_be_updat
     // What reads back otherwise, here the last page, is not started.
     let last_page = (firmware[0].bytes() - 8) % 2_048;
     let mut cable = Cable(BootLoader::new(&mut bench.rig.machine), Some(last_page as u16));
-    let result = update(&mut cable, &firmware[0], |_| {});
+    let result = update(&mut cable, &firmware[0], Known::Waiting, |_| {});
     assert!(matches!(result, Err(UpdateError::Differs { .. })), "{result:?}");
     bench.rig.machine.pull_reset_pin();
     assert_eq!(bench.stored(), None);

@@ -42,10 +42,12 @@ mod stub {
         "    ldr r4, =0x08000800",
         "    ldrd r5, r6, [r4]",
         "    ldr r0, [r4, #0x1f4]",
-        // The end lies in the first bank, behind the header.
-        "    sub r1, r0, r4",
-        "    sub r1, r1, #0x208",
-        "    cmp r1, #0x3f000",
+        // The end lies behind the header, and in the first bank.
+        "    ldr r1, =0x08000a08",
+        "    cmp r0, r1",
+        "    blo boot_loader",
+        "    ldr r1, =0x08040000",
+        "    cmp r0, r1",
         "    bhi boot_loader",
         "    lsls r1, r0, #29",
         "    bne boot_loader",

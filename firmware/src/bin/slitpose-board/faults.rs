@@ -132,6 +132,11 @@ fn start_boot_loader() -> ! {
     pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
     let _ = pac::RCC.apb2enr().read();
     pac::SYSCFG.memrmp().modify(|w| w.set_mem_mode(1));
+    // SAFETY: no interrupt is enabled, and the table at 0 is the boot loader's.
+    #[allow(unsafe_code)]
+    unsafe {
+        (*SCB::PTR).vtor.write(0);
+    }
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
     // SAFETY: system memory starts with a vector table, and the firmware has not set up

@@ -82,6 +82,11 @@ impl View {
 }
 
 impl Outlook {
+    /// The head.
+    pub fn head(&self) -> &Head {
+        &self.head
+    }
+
     /// Of `head`, with the noise of its front end and schedule, else with that of its scene.
     pub fn of(head: Head) -> Result<Self, SceneError> {
         let (scene, frame) = frame_scene(&head.file);

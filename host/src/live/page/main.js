@@ -14,6 +14,7 @@ import { attachGestures } from "./gestures.js";
 import { Guide } from "./guide.js";
 import { History } from "./history.js";
 import { Link } from "./link.js";
+import { AccuracyMap } from "./map.js";
 import { Numbers } from "./numbers.js";
 import { followTheme } from "./palette.js";
 import { Placement } from "./placement.js";
@@ -73,13 +74,20 @@ const timeline = new Timeline(() => ({ histories, traces }), () => board, (isLiv
   if (isLive) plots.follow();
   reportChanged();
 });
-const placement = new Placement(send, schedule);
+const placement = new Placement(send, () => {
+  map.changed();
+  schedule();
+});
+const map = new AccuracyMap(send, () => placement.place);
 const goHome = attachGestures(byId("view"), view, schedule, placement);
 followTheme(byId("theme"), () => {
   plots.changed();
 });
 const link = new Link(received, (state) => {
-  if (state.state !== "open") placement.answered();
+  if (state.state !== "open") {
+    placement.answered();
+    map.answered();
+  }
   reportChanged();
 });
 
@@ -146,12 +154,14 @@ const takers = {
   download: (message) => recordings.download(message),
   noted: ({ text }) => notes.noted(text),
   calibration: (message) => guide.take(message),
+  map: (message) => map.take(message),
   missed: ({ frames }) => banner.missed(frames),
   notice: ({ text }) => banner.notice("notice", `${text}.`),
   refused({ reason }) {
     banner.notice("request", `Refused: ${reason}.`);
     guide.refused();
     if (isScene()) placement.answered();
+    map.answered();
   },
 };
 

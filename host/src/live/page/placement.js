@@ -42,6 +42,11 @@ export class Placement {
     return { t_m: this.#values.slice(0, 3), q_xyzw: quaternion(this.#values.slice(3)) };
   }
 
+  /** Where the tool is, as requests have it. */
+  get place() {
+    return { t_m: this.#values.slice(0, 3), r_rad: this.#values.slice(3) };
+  }
+
   /** Moves the tool by a vector of the base frame. */
   move(metres) {
     this.#set([...add(this.pose.t_m, metres), ...this.#values.slice(3)]);
@@ -86,8 +91,7 @@ export class Placement {
   /** One request at a time; the newest pose goes next. */
   #ask() {
     if (this.#isUnanswered || !this.#isChanged) return;
-    const [t_m, r_rad] = [this.#values.slice(0, 3), this.#values.slice(3)];
-    if (!this.send({ kind: "pose", t_m, r_rad })) return;
+    if (!this.send({ kind: "pose", ...this.place })) return;
     [this.#isUnanswered, this.#isChanged] = [true, false];
   }
 }

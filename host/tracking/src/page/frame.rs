@@ -11,7 +11,7 @@ use slitpose_model::{
 };
 
 use super::bins::{Bin, Binner, Bins, MAX_FINE};
-use super::message::Refusal;
+use super::message::{Plane, Refusal};
 use crate::clock::HostInstant;
 use crate::columns::{NO_TWIST, no_twist};
 use crate::frame::View;
@@ -326,6 +326,9 @@ pub struct SceneView {
     optics: Optics,
 }
 
+/// Places of a map along each axis.
+pub const MAP_POINTS: usize = 33;
+
 /// No dragged tool is farther from home than this, metres and radians: beyond it all cells are dark.
 const FARTHEST: f64 = 10.0;
 
@@ -344,12 +347,7 @@ impl SceneView {
     /// # Errors
     /// A place that is farther from home than any tool.
     pub fn frame(&self, n: u64, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<String, Refusal> {
-        for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
-            if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
-                return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
-            }
-        }
-        let pose = Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad));
+        let pose = placed(t_m, r_rad)?;
         let (readings, solution) = self.outlook.frame_at(&pose);
         let base = solution.estimate.map(|estimate| estimate.pose);
         let mut frame = self.optics.solved(0, n, &solution, base.as_ref(), &readings);
@@ -358,6 +356,43 @@ impl SceneView {
         }
         Ok(frame.to_string())
     }
+
+    /// The message with the accuracy over `plane`, through the tool at translation `t_m`, metres, and rotation vector `r_rad`:
+    /// at [`MAP_POINTS`] places along each axis, row by row from the least coordinates on, the Cramér–Rao bound of the position
+    /// (all three axes together), metres; `null` where a frame gives no pose, or the scene states no noise.
+    ///
+    /// # Errors
+    /// A place that is farther from home than any tool.
+    pub fn map(&self, plane: Plane, t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Value, Refusal> {
+        let mut pose = placed(t_m, r_rad)?;
+        let [across, up] = match plane {
+            Plane::Xy => [0, 1],
+            Plane::Xz => [0, 2],
+            Plane::Yz => [1, 2],
+        };
+        let half_m = self.outlook.head().file.workspace.half_extent_m;
+        let at = |axis: usize, index: usize| half_m[axis] * (2.0 * index as f64 / (MAP_POINTS - 1) as f64 - 1.0);
+        let has_noise = self.outlook.noise != NoiseOf::Nothing;
+        let mut sigma_m = Vec::with_capacity(MAP_POINTS * MAP_POINTS);
+        for row in 0..MAP_POINTS {
+            for column in 0..MAP_POINTS {
+                (pose.translation_m[across], pose.translation_m[up]) = (at(across, column), at(up, row));
+                sigma_m.push(self.outlook.at(&pose).sigma_m().filter(|_| has_noise).map(rounded));
+            }
+        }
+        let half_m = [half_m[across], half_m[up]];
+        Ok(json!({"kind": "map", "plane": plane, "half_m": half_m, "points": MAP_POINTS, "sigma_m": sigma_m}))
+    }
+}
+
+/// The pose of a tool that is dragged there.
+fn placed(t_m: [f64; 3], r_rad: [f64; 3]) -> Result<Pose, Refusal> {
+    for (key, values) in [("t_m", t_m), ("r_rad", r_rad)] {
+        if let Some(value) = values.into_iter().find(|value| value.abs() > FARTHEST) {
+            return Err(Refusal::Value { key, value, hint: "metres and radians within the workspace" });
+        }
+    }
+    Ok(Pose::from_vectors(DVec3::from_array(t_m), DVec3::from_array(r_rad)))
 }
 
 #[cfg(test)]

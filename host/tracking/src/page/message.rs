@@ -261,6 +261,23 @@ pub enum Request {
         t_m: [f64; 3],
         r_rad: [f64; 3],
     },
+    /// The accuracy over a plane of the workspace, for a tool that is at this place otherwise.
+    Map {
+        plane: Plane,
+        /// Translation, metres.
+        t_m: [f64; 3],
+        r_rad: [f64; 3],
+    },
+}
+
+/// A plane of the base frame, by its axes: across, then up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[allow(missing_docs, reason = "named by their axes")]
+pub enum Plane {
+    Xy,
+    Xz,
+    Yz,
 }
 
 impl Request {

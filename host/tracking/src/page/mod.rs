@@ -8,7 +8,8 @@ mod frame;
 mod message;
 
 pub use bins::{Bins, COARSE_HZ, FINE_HZ};
-pub use frame::{FRAMES_HZ, Optics, Sample, Sampler, SceneView, head_message};
+pub use frame::{FRAMES_HZ, MAP_POINTS, Optics, Sample, Sampler, SceneView, head_message};
 pub use message::{
-    COARSE_S, CalibrationState, HISTORY_S, Order, PlayerOrder, PlayerState, Refusal, Request, hello, report_message,
+    COARSE_S, CalibrationState, HISTORY_S, Order, Plane, PlayerOrder, PlayerState, Refusal, Request, hello,
+    report_message,
 };

@@ -158,6 +158,11 @@ impl Cpu {
         self.lockup = None;
     }
 
+    /// VTOR.
+    pub fn vectors(&self) -> u32 {
+        self.system.vectors
+    }
+
     /// Forgets decoded code: flash gets another program while the core runs the boot loader.
     pub fn forget_code(&mut self) {
         self.code = Code::default();
