@@ -10,6 +10,7 @@ use std::path::Path;
 use nix::fcntl::OFlag;
 use serde_json::Value;
 use slitpose::device::SerialDevice;
+use slitpose_firmware::image::{FLASH_BASE, ImageHeader, PAGE_BYTES};
 use slitpose_head::scene_file::{SceneFile, WIDE};
 use slitpose_protocol::{BootTarget, Command, Decoder, Hashes, MAX_REQUEST_BYTES, Request, ResetCause};
 use slitpose_tests::process::{Finished, written};
@@ -299,9 +300,26 @@ fn a_board_that_is_gone_while_it_restarts_is_waited_for() {
 #[test]
 fn a_board_in_its_boot_loader_is_not_waited_for() {
     let (finished, log, _) = at(Board::wide(90), &["reboot", "--boot-loader"]);
-    assert!(finished.stderr.contains("dfu-util -a 0 -s 0x08000000:leave"), "{}", finished.stderr);
+    assert!(finished.stderr.contains("slitpose device update"), "{}", finished.stderr);
     let expected = [Command::Hello, Command::Reboot(BootTarget::BootLoader)];
     assert_eq!((finished.code, &log.commands()[..]), (0, &expected[..]));
+}
+
+/// A board for which a file is none keeps its firmware, and its head, too.
+#[test]
+fn firmware_for_another_board_is_refused_before_the_board_is_told_anything() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut flash = vec![0xff; 3 * PAGE_BYTES];
+    flash[0x9d8..0x9f4].copy_from_slice(&ImageHeader::of_this_source("NUCLEO-H743ZI").encode());
+    flash[0x9f4..0x9f8].copy_from_slice(&(FLASH_BASE + 3 * PAGE_BYTES as u32).to_le_bytes());
+    flash[3 * PAGE_BYTES - 8..].fill(0);
+    let other = written(folder.path(), "other.bin", &flash);
+    let (finished, log, _) = at(Board::wide(90), &["update", &other]);
+    finished.assert_refused(1, &["for the board NUCLEO-H743ZI", "give the file for that"]);
+    assert_eq!(log.commands(), [Command::Hello]);
+    device(&["update", "--device", "sim"]).assert_refused(2, &["simulated board has no firmware"]);
+    let torn = written(folder.path(), "torn.bin", &flash[..3 * PAGE_BYTES - 8]);
+    device(&["update", &torn]).assert_refused(1, &["torn.bin", "no whole image", "of a release"]);
 }
 
 #[test]

@@ -48,17 +48,18 @@ pub(super) fn update(args: &UpdateArgs) -> Result<Outcome, CommandError> {
         bail!(usage!("a simulated board has no firmware of its own; leave --device sim out"));
     }
     let given = args.firmware.as_deref().map(read).transpose()?;
-    let before = BootLoaders::now().context(NO_USB)?;
     let mut connection = match args.board.connect(&WIDE.read()?) {
         Ok(connection) => connection,
         // A board that waits in its boot loader has no serial port.
         Err(error) => {
             let named = if let Selector::Serial(device) = selector { Some(*device) } else { None };
-            return match (error.downcast_ref(), before.open(named).context(NOT_OPENED)?) {
-                (Some(DeviceError::NoBoard { .. } | DeviceError::NoSuchBoard { .. }), Some(boot_loader)) => {
-                    complete(boot_loader, given)
-                }
-                _ => Err(error),
+            let is_missing =
+                matches!(error.downcast_ref(), Some(DeviceError::NoBoard { .. } | DeviceError::NoSuchBoard { .. }));
+            // Where there is no USB, no boot loader is either.
+            let waiting = BootLoaders::now().ok().filter(|_| is_missing);
+            return match waiting.map(|waiting| waiting.open(named).context(NOT_OPENED)).transpose()?.flatten() {
+                Some(boot_loader) => complete(boot_loader, given),
+                None => Err(error),
             };
         }
     };
@@ -73,6 +74,7 @@ pub(super) fn update(args: &UpdateArgs) -> Result<Outcome, CommandError> {
     firmware.check_board(&connection.info.board)?;
     let name = connection.name();
     talk(format_args!("{name} has firmware {}; it gets {}", connection.info.firmware, version(&firmware)));
+    let before = BootLoaders::now().context("cannot list what is on USB; the board's own USB port is needed")?;
     connection.board.order(Command::Reboot(BootTarget::BootLoader))?;
     let super::Connection { board, contact, info } = connection;
     let boot_loader = before.await_new(info.device, BOOT_LOADER_WITHIN).with_context(|| {
@@ -87,7 +89,6 @@ pub(super) fn update(args: &UpdateArgs) -> Result<Outcome, CommandError> {
     Ok(Outcome::Done)
 }
 
-const NO_USB: &str = "cannot list what is on USB";
 const NOT_OPENED: &str = "The user needs the right to open the boot loader: install the udev rule, on Windows the driver WinUSB \
                           (INSTALL.md), and update again";
 

@@ -23,7 +23,7 @@ class Figures(unittest.TestCase):
         for key, (figure, value) in self.simulated.items():
             with self.subTest(key):
                 written = float(re.match(r"[-+.e\d]+", rows[key][4].strip())[0])
-                self.assertTrue(figure.agrees(value, written), f"{value:.4g}, README.md {written}")
+                self.assertAlmostEqual(value, written, delta=0.01 * abs(written) + 1e-3, msg=figure.unit)
 
     def test_figures_that_firmware_lacks_are_on_the_page(self):
         text = (ROOT / "README.md").read_text()
