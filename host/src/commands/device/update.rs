@@ -114,8 +114,8 @@ fn read(name: &str) -> Result<Firmware, CommandError> {
     }
     let path = Path::new(name);
     let mut file = Vec::new();
-    let opened = text_file::open(path).and_then(|file| Ok(file.take(MAX_FILE_BYTES)));
-    opened.and_then(|mut opened| Ok(opened.read_to_end(&mut file)?)).with_context(|| format!("cannot read {name}"))?;
+    let opened = text_file::open(path).with_context(|| format!("cannot read {name}"))?;
+    opened.take(MAX_FILE_BYTES).read_to_end(&mut file).with_context(|| format!("cannot read {name}"))?;
     Firmware::read(&file).with_context(|| format!("cannot use {name}"))
 }
 
