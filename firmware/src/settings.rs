@@ -293,6 +293,33 @@ mod tests {
         }
     }
 
+    /// A record as it is in flash memory, by the layout above and CRC-32 of zlib, not by this program's writer.
+    #[test]
+    fn a_record_of_these_bytes_is_read() {
+        let parts: [&[u8]; 7] = [
+            // Magic; version 1, 60 bytes of payload, number 7; checksum.
+            b"slit\x01\0\x3c\0\x07\0\0\0\x96\xc7\xf8\x60",
+            // In varints: 170 MHz, a frame of 42 500 ticks; four slots with emitters 0 and 3, 1 and 4, 2 and 5, none.
+            b"\x80\xfd\x87\x51\x84\xcc\x02\x04\x09\x12\x24\0",
+            // A slot of 5800 ticks, settling 2210, conversion 148; four conversions a word, six cells.
+            b"\xa8\x2d\xa2\x11\x94\x01\x04\x06",
+            // Six levels of 0x8000; fixed exposure.
+            b"\x06\x80\x80\x02\x80\x80\x02\x80\x80\x02\x80\x80\x02\x80\x80\x02\x80\x80\x02\0",
+            // Some scene 0x0123456789abcdef, some calibration 300.
+            b"\x01\xef\x9b\xaf\xcd\xf8\xac\xd1\x91\x01\x01\xac\x02",
+            // Some head in area 1; some full scale of 10 000 000 pA; nothing written behind them.
+            b"\x01\x01\x01\x80\xad\xe2\x04",
+            &[ERASED; 4],
+        ];
+        let mut pages = BLANK;
+        pages[0][..80].copy_from_slice(&parts.concat());
+        let hashes = Hashes { scene: Some(0x0123_4567_89ab_cdef), calibration: Some(300) };
+        let full_scale_pa = NonZeroU32::new(10_000_000);
+        let kept = Settings { configuration: default_configuration(), hashes, head: Some(1), full_scale_pa };
+        assert_eq!(stored(&pages), Some(kept.clone()));
+        assert_eq!(pages[0][..80], record(7, Some(&kept)), "today's writer writes the same");
+    }
+
     /// The checksum covers the number too, by which the newest record is found.
     #[test]
     fn a_flipped_bit_costs_its_record_and_no_other() {

@@ -404,4 +404,10 @@ mod tests {
             assert!(parse_pose(text).is_err(), "`{text}` was taken for a pose");
         }
     }
+
+    #[test]
+    fn durations_have_a_unit_and_are_more_than_nothing() {
+        assert_eq!((parse_duration("10s"), parse_duration("500ms")), (Ok(10.0), Ok(0.5)));
+        assert!(["", "10", "0s", "-1s", "soon"].iter().all(|text| parse_duration(text).is_err()));
+    }
 }

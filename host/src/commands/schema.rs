@@ -53,9 +53,9 @@ fn of_key(key: &Key) -> (String, Value) {
         Kind::OneOf(words) => json!({ "enum": words }),
         Kind::Number => json!({ "type": "number" }),
         Kind::Whole(least, most) => json!({ "type": "integer", "minimum": least, "maximum": most }),
-        Kind::Vector(count) => numbers(count, count),
+        Kind::Vector(count, _) => numbers(count, count),
         Kind::List(most) => numbers(0, most),
-        Kind::Matrix(rows, columns) => {
+        Kind::Matrix(rows, columns, _) => {
             json!({ "type": "array", "items": numbers(columns, columns), "minItems": rows, "maxItems": rows })
         }
         Kind::Pairs(most) => json!({ "type": "array", "items": numbers(2, 2), "minItems": 1, "maxItems": most }),

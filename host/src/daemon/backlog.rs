@@ -297,4 +297,16 @@ mod tests {
             assert!(trial.given.len() >= 1_990 && trial.oldest_given_ns() < 1_000_000, "keeps all {keeps_all}");
         }
     }
+
+    #[test]
+    fn control_loops_do_not_wait_while_standard_output_is_not_read() {
+        let mut trial = Trial::new(true);
+        trial.run(SECOND_NS, false, false, |_| 10_000);
+        assert_eq!(trial.printed, Vec::<u64>::new());
+        // The newest of each read, at once.
+        assert!(trial.given.len() >= 990 && trial.oldest_given_ns() < 1_000_000 && trial.is_in_order());
+        trial.run(2 * SECOND_NS, true, true, |_| 10_000);
+        assert!(trial.is_printed());
+        assert!(!trial.backlog.is_behind() && trial.is_in_order());
+    }
 }

@@ -185,8 +185,7 @@ impl Daemon {
     pub(crate) fn end(&self) -> Ended {
         let threads = std::mem::take(&mut *lock(&self.boards));
         let boards = threads.into_iter().map(BoardThreads::end).collect();
-        self.record_report();
-        self.recorder.iter().for_each(RecorderControl::close);
+        self.recorder.iter().for_each(|recorder| recorder.close(self.report()));
         let printer = lock(&self.printer).take();
         let printed = printer.map_or(Ok(()), |printer| printer.end(&self.stop));
         lock(&self.recording).take().into_iter().for_each(join);

@@ -140,8 +140,9 @@ impl RecorderControl {
         let _ = lock(&self.orders).as_ref().map(|orders| orders.send(order));
     }
 
-    /// The last report is sent: the recorder ends behind it.
-    pub(super) fn close(&self) {
+    /// Records the daemon's last report, however far behind the recorder is, which ends behind it.
+    pub(super) fn close(&self, last: DaemonReport) {
+        self.order(RecorderOrder::Account(Box::new(last)));
         lock(&self.orders).take();
     }
 }
@@ -422,5 +423,17 @@ mod tests {
         }
         let captured = [1, 2, 3].map(|number| steps_in(&path(number)));
         assert_eq!(captured, [[vec![4, 5], vec![9]], [vec![], vec![14]], [vec![17], vec![]]]);
+    }
+
+    #[test]
+    fn the_last_report_is_recorded_however_many_orders_wait() {
+        let (order, orders) = unbounded();
+        let control = RecorderControl { orders: Mutex::new(Some(order)), report: Arc::default() };
+        (0..ACCOUNTS).for_each(|_| control.note(String::new(), 0.0));
+        let report = || DaemonReport::of(HostInstant::now(), HostInstant::now(), Vec::new(), RecorderReport::default());
+        control.account(report());
+        control.close(report());
+        // The recorder ends behind it, which is the only one.
+        assert_eq!(orders.iter().filter(|order| matches!(order, RecorderOrder::Account(_))).count(), 1);
     }
 }

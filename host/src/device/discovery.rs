@@ -349,4 +349,14 @@ mod tests {
         assert!(names(&["/dev/null"], false).is_empty(), "the board itself");
         assert_eq!(names(&["/dev/zer*", "/dev/zero"], false), ["/dev/zero"]);
     }
+
+    #[test]
+    fn names_of_boards_are_no_paths() {
+        for path in ["/dev/ttyACM0", "./port", "/dev/serial/by-id/board"] {
+            assert_eq!(path.parse::<Selector>().unwrap(), Selector::Path(path.to_owned()));
+        }
+        for name in ["3600290054485002", "usb", "", "Auto"] {
+            assert!(name.parse::<Selector>().is_err(), "{name}");
+        }
+    }
 }

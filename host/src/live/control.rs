@@ -103,6 +103,19 @@ mod tests {
     }
 
     #[test]
+    fn only_the_whole_token_admits() {
+        for address in ["127.0.0.1:0", "0.0.0.0:0"] {
+            let guarded = access(address, Some(TOKEN), false).unwrap();
+            let (longer, shorter) = (format!("{TOKEN}s"), &TOKEN[..TOKEN.len() - 1]);
+            assert!(guarded.admits(Some(TOKEN)));
+            assert!([None, Some(""), Some(shorter), Some(&longer)].iter().all(|wrong| !guarded.admits(*wrong)));
+        }
+        for token in ["", "short", "a token with spaces"] {
+            assert!(access("127.0.0.1:0", Some(token), false).is_err(), "`{token}`");
+        }
+    }
+
+    #[test]
     fn a_page_has_an_address_that_a_browser_can_open() {
         let guarded = access("0.0.0.0:0", Some(TOKEN), false).unwrap();
         assert_eq!(

@@ -3,8 +3,8 @@
 use glam::{DQuat, DVec3};
 use rand_chacha::ChaCha8Rng;
 use slitpose_model::{
-    CompiledScene, DegradedReason, Outcome, Pair, Photocurrents, Pose, Reading, Scalar, Scene, Solution, Solver, Tier,
-    Tracker,
+    CompiledScene, DegradedReason, Outcome, Pair, Photocurrents, Pose, Profile, Reading, Scalar, Scene, Solution,
+    Solver, Tier, Tracker,
 };
 
 use crate::common::{
@@ -251,6 +251,29 @@ fn three_cells_alone_have_no_pose_from_nothing() {
         // Where the tool was followed to, it is known.
         let followed = near(&solver, &readings, &pose);
         assert!(followed.estimate.is_some() || followed.outcome == Outcome::Ambiguous, "{:?}", followed.outcome);
+    }
+}
+
+/// Emitters so narrow that at many poses three cells alone see light: that the others are dark, as they are, too, at most of
+/// the images, tells no pose.
+#[test]
+fn three_cells_beside_dark_ones_have_no_pose_from_nothing() {
+    let mut scene = wide();
+    scene.cells.iter_mut().for_each(|cell| cell.emitter.profile = Profile::from_half_angle(12_f64.to_radians()));
+    let solver = Solver::<f64>::new(&scene, Tier::Paper).expect("scene");
+    let (mut rng, mut of_three) = (generator(), 0);
+    while of_three < 40 {
+        let pose = pose_in_box(&mut rng, 4.0, 15.0);
+        let readings = seen(&solver, &pose, &mut rng);
+        let solution = cold(&solver, &readings);
+        if solution.cells_used.count() != 3 {
+            continue;
+        }
+        of_three += 1;
+        assert!(solution.estimate.is_none(), "{pose:?}");
+        let followed = near(&solver, &readings, &pose);
+        let is_open = matches!(followed.outcome, Outcome::Ambiguous | Outcome::Unobservable(_));
+        assert!(followed.estimate.is_some() || is_open, "{:?}", followed.outcome);
     }
 }
 

@@ -252,8 +252,8 @@ impl Board {
         if self.adc12.next_event() == now {
             let Self { world, record, .. } = self;
             self.adc12.advance(&mut self.effects, &mut |adc, channel| {
-                if let Some(record) = record {
-                    record.holds.push(Hold { at: now, adc, channel });
+                if let Some(holds) = record.as_mut().and_then(|record| record.holds.as_mut()) {
+                    holds.push(Hold { at: now, adc, channel });
                 }
                 world.as_mut().map_or(0, |world| world.sample(now, adc, channel))
             });

@@ -90,13 +90,17 @@ impl<'a> Document<'a> {
 
     fn check_value(&self, path: KeyPath, kind: Kind, entry: &Entry<'_>) -> Result<(), SceneFileError> {
         let of = |kind| move |item: &Entry<'_>| self.check_value(path, kind, item);
+        let row = |count| move |row: &Entry<'_>| self.check_items(path, kind, row, count..=count, of(Kind::Number));
         let is_fit = match kind {
-            Kind::Vector(count) => return self.check_items(path, kind, entry, count..=count, of(Kind::Number)),
+            Kind::Vector(count, _) => return self.check_items(path, kind, entry, count..=count, of(Kind::Number)),
             Kind::List(most) => return self.check_items(path, kind, entry, 0..=most, of(Kind::Number)),
-            Kind::Matrix(rows, columns) => {
-                return self.check_items(path, kind, entry, rows..=rows, of(Kind::Vector(columns)));
-            }
-            Kind::Pairs(most) => return self.check_items(path, kind, entry, 0..=most, of(Kind::Vector(2))),
+            Kind::Matrix(rows, columns, _) => return self.check_items(path, kind, entry, rows..=rows, row(columns)),
+            Kind::Pairs(most) => match entries_of(entry).len() {
+                knots if knots > most => {
+                    return Err(self.error_at(entry.span(), format!("{path} has {knots} knots; give at most {most}")));
+                }
+                _ => return self.check_items(path, kind, entry, 0..=most, row(2)),
+            },
             Kind::Slots => {
                 let emitter = Kind::Whole(0, MAX_CELLS as u64 - 1);
                 let slot = |slot: &Entry<'_>| self.check_items(path, kind, slot, 0..=usize::MAX, of(emitter));

@@ -135,12 +135,12 @@ pub enum Kind {
     Number,
     /// A whole number from the first to the second.
     Whole(u64, u64),
-    /// So many numbers.
-    Vector(usize),
+    /// So many numbers, and what they are.
+    Vector(usize, &'static str),
     /// At most so many numbers.
     List(usize),
-    /// So many rows of so many numbers.
-    Matrix(usize, usize),
+    /// So many rows of so many numbers, and what these are.
+    Matrix(usize, usize, &'static str),
     /// At most so many pairs of numbers.
     Pairs(usize),
     /// Lists of the numbers of cells.
@@ -158,10 +158,12 @@ impl fmt::Display for Kind {
             Self::OneOf(words) => write!(f, "\"{}\"", words.join("\" or \"")),
             Self::Number => f.write_str("a number"),
             Self::Whole(least, most) => write!(f, "a whole number from {least} to {most}"),
-            Self::Vector(count) => write!(f, "{} numbers", WORDS[count]),
+            Self::Vector(count, what) => write!(f, "{} numbers{what}", WORDS[count]),
             Self::List(most) => write!(f, "a list of at most {most} numbers"),
-            Self::Matrix(rows, columns) => write!(f, "{} rows of {} numbers", WORDS[rows], WORDS[columns]),
-            Self::Pairs(most) => write!(f, "at most {most} pairs of numbers"),
+            Self::Matrix(rows, columns, what) => {
+                write!(f, "{} rows of {} numbers{what}", WORDS[rows], WORDS[columns])
+            }
+            Self::Pairs(most) => write!(f, "at most {most} pairs of numbers, [[degrees, relative intensity], …]"),
             Self::Slots => f.write_str("slots of emitter numbers, e.g. [[0, 2, 4], [1, 3, 5], []]"),
         }
     }
@@ -197,17 +199,16 @@ const fn section(name: &'static str, meaning: &'static str, keys: &'static [Key]
     Section { name, meaning, keys }
 }
 
+/// Three numbers of an axis each.
+const XYZ: Kind = Kind::Vector(3, ", [x, y, z]");
+
 /// Keys of a `[[cell]]` itself: five, or the cell whose detector it reads the second axis of.
 pub const OWN: [Key; 6] = [
-    key("detector_mm", Kind::Vector(3), "centre of the detector's active area, base frame; needed"),
-    key(
-        "x_axis",
-        Kind::Vector(3),
-        "direction of the detector from electrode X1 to X2, unit vector, base frame; needed",
-    ),
-    key("normal", Kind::Vector(3), "direction from the detector to slit and emitter, unit vector, base frame; needed"),
-    key("emitter_mm", Kind::Vector(3), "place of the emitter, tool frame; needed"),
-    key("emitter_axis", Kind::Vector(3), "direction in which it shines, unit vector, tool frame; needed"),
+    key("detector_mm", XYZ, "centre of the detector's active area, base frame; needed"),
+    key("x_axis", XYZ, "direction of the detector from electrode X1 to X2, unit vector, base frame; needed"),
+    key("normal", XYZ, "direction from the detector to slit and emitter, unit vector, base frame; needed"),
+    key("emitter_mm", XYZ, "place of the emitter, tool frame; needed"),
+    key("emitter_axis", XYZ, "direction in which it shines, unit vector, tool frame; needed"),
     key(
         "second_axis_of",
         Kind::Whole(0, MAX_CELLS as u64 - 1),
@@ -234,7 +235,7 @@ pub const SECTIONS: [Section; 12] = [
         key("saturation_a", Kind::Number, "photocurrent from which on a reading is saturated; default: never"),
         key("faint_a", Kind::Number, "photocurrent below which a cell is flagged faint; default 50e-9"),
         key("nonlinearity_mm", Kind::List(MAX_NONLINEARITY), "measured position minus true position, as a polynomial: coefficients of 1, ξ, ξ², … of the true position ξ in half lengths; default: none"),
-        key("electrode_gain", Kind::Vector(2), "gain of I_X1 and of I_X2; default [1, 1]"),
+        key("electrode_gain", Kind::Vector(2, ", those of I_X1 and I_X2"), "gain of I_X1 and of I_X2; default [1, 1]"),
     ]),
     section("slit", "what the light passes through: a slit, or a round hole with or without a lens", &[
         key("distance_mm", Kind::Number, "from the detector's surface to the middle of the mask; needed"),
@@ -242,8 +243,8 @@ pub const SECTIONS: [Section; 12] = [
         key("length_mm", Kind::Number, "of a slit, across the detector; needed without diameter_mm"),
         key("diameter_mm", Kind::Number, "of a round hole; in place of width_mm and length_mm"),
         key("focal_length_mm", Kind::Number, "of a thin lens in the round hole; default: no lens"),
-        key("offset_mm", Kind::Vector(2), "centre of the slit along x and y of the cell; default [0, 0]"),
-        key("tilt_deg", Kind::Vector(3), "rotation vector of the slit in the cell; default [0, 0, 0]: parallel, its length along y"),
+        key("offset_mm", Kind::Vector(2, ", [x, y]"), "centre of the slit along x and y of the cell; default [0, 0]"),
+        key("tilt_deg", XYZ, "rotation vector of the slit in the cell; default [0, 0, 0]: parallel, its length along y"),
         key("thickness_mm", Kind::Number, "of the mask; default 0"),
         key("mount", Kind::OneOf(&["base", "tool"]), "what the slit is fixed to; default \"base\""),
     ]),
@@ -254,8 +255,8 @@ pub const SECTIONS: [Section; 12] = [
         key("half_angle_deg", Kind::Number, "angle to the axis at half intensity, of a power of the cosine; this, profile_exponent or profile is needed"),
         key("profile_exponent", Kind::Number, "that power itself"),
         key("profile", Kind::Pairs(MAX_PROFILE_KNOTS), "measured profile: angle to the axis in degrees, intensity relative to the axis"),
-        key("profile_radial", Kind::Vector(RADIAL_TERMS), "terms of a correction that depends on the angle to the axis; calibrations find them"),
-        key("profile_azimuthal", Kind::Vector(AZIMUTHAL_TERMS), "terms of one that depends on the direction around the axis; calibrations find them"),
+        key("profile_radial", Kind::Vector(RADIAL_TERMS, ""), "terms of a correction that depends on the angle to the axis; calibrations find them"),
+        key("profile_azimuthal", Kind::Vector(AZIMUTHAL_TERMS, ""), "terms of one that depends on the direction around the axis; calibrations find them"),
     ]),
     section("window", "plane cover on the detectors; default: none", &[
         key("thickness_mm", Kind::Number, "needed"),
@@ -264,8 +265,8 @@ pub const SECTIONS: [Section; 12] = [
     section("stray", "light that reaches a detector by reflections; default: none", &[
         key("current_a", Kind::Number, "its photocurrent with the tool at home; default 0"),
         key("centre_mm", Kind::Number, "where on the detector its centre lies; default 0"),
-        key("linear_a_per_mm", Kind::Matrix(2, 3), "change of both electrodes' currents with the tool's translation"),
-        key("quadratic_a_per_mm2", Kind::Matrix(2, 6), "change with t_x², t_y², t_z², t_x·t_y, t_y·t_z, t_z·t_x"),
+        key("linear_a_per_mm", Kind::Matrix(2, 3, ", by t_x, t_y, t_z"), "change of both electrodes' currents with the tool's translation"),
+        key("quadratic_a_per_mm2", Kind::Matrix(2, 6, ", by t_x², t_y², t_z², t_x·t_y, t_y·t_z, t_z·t_x"), "change with t_x², t_y², t_z², t_x·t_y, t_y·t_z, t_z·t_x"),
     ]),
     section("converter", "curves of the analog-to-digital converters; default: straight", &[
         key("full_scale_a", Kind::Number, "current at the top code; needed"),
@@ -311,8 +312,8 @@ pub const SECTIONS: [Section; 12] = [
         key("slots", Kind::Slots, "the emitters of each slot of a frame, in their order; [] is the dark slot"),
     ]),
     section("workspace", "the box of poses that maps, checks and calibrations are about", &[
-        key("half_extent_mm", Kind::Vector(3), "greatest translation along x, y, z"),
-        key("half_extent_deg", Kind::Vector(3), "greatest components of the rotation vector"),
+        key("half_extent_mm", XYZ, "greatest translation along x, y, z"),
+        key("half_extent_deg", XYZ, "greatest components of the rotation vector"),
     ]),
 ];
 

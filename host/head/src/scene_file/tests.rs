@@ -139,7 +139,7 @@ fn what_is_refused_is_told_with_its_place_its_value_in_the_files_own_unit_and_th
         (
             changed("[25.0, 0.0, 0.0]", "[25.0, 0.0]", ""),
             "13:15",
-            "cell 0, detector_mm = [25.0, 0.0] is an array; give three numbers",
+            "cell 0, detector_mm = [25.0, 0.0] is an array; give three numbers, [x, y, z]",
         ),
         (changed("[25.0, 0.0, 0.0]", "[25.0, 0.0, true]", ""), "13:27", "true is true or false; give a number"),
         (format!("{LEAST}slit = 3\n"), "18:8", "slit = 3 is a number; give a table"),

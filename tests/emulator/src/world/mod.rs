@@ -53,20 +53,21 @@ pub struct Hold {
     pub channel: u8,
 }
 
-/// Every change of emitter pins and level lines, and every instant at which ADC1 or ADC2 holds a sample.
+/// Every change of emitter pins and level lines, and if asked for every instant at which ADC1 or ADC2 holds a sample.
 #[derive(Debug, Default)]
 pub struct Record {
     /// Gates when it last forgot.
     before: u8,
     pub drives: Vec<Drive>,
-    pub holds: Vec<Hold>,
+    /// `None`: not asked for; they are 12 MB a second.
+    pub holds: Option<Vec<Hold>>,
 }
 
 impl Record {
     pub fn forget(&mut self) {
         self.before = self.drives.last().map_or(self.before, |drive| drive.gates);
         self.drives.clear();
-        self.holds.clear();
+        self.holds.iter_mut().for_each(Vec::clear);
     }
 
     /// Changes of the gates since it last forgot, each with its instant.

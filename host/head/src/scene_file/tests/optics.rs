@@ -186,9 +186,9 @@ fn effects_that_cannot_be_are_refused_at_their_place() {
         (format!("{LEAST}[window]\nthickness_mm = 1\nrefractive_index = 0.5\n"), "20:20", "below 1"),
         (format!("{LEAST}[stray]\ncurrent_a = -1e-9\n"), "19:13", "zero or more"),
         (format!("{LEAST}[stray]\ncentre_mm = 7\n"), "19:13", "a place on the detector"),
-        (format!("{LEAST}[stray]\nlinear_a_per_mm = [[1, 2, 3]]\n"), "19:19", "two rows of three numbers"),
-        (format!("{LEAST}stray.linear_a_per_mm = [[1, 2], [3, 4]]\n"), "18:26", "give three numbers"),
-        (format!("{LEAST}[stray]\nquadratic_a_per_mm2 = 1\n"), "19:23", "two rows of six numbers"),
+        (format!("{LEAST}[stray]\nlinear_a_per_mm = [[1, 2, 3]]\n"), "19:19", "two rows of three numbers, by t_x"),
+        (format!("{LEAST}stray.linear_a_per_mm = [[1, 2], [3, 4]]\n"), "18:26", "two rows of three"),
+        (format!("{LEAST}[stray]\nquadratic_a_per_mm2 = 1\n"), "19:23", "two rows of six numbers, by t_x², t_y²"),
         (format!("{LEAST}[converter]\ncurve_1_a = [1e-9]\n"), "18:1", "converter.full_scale_a is missing"),
         (format!("{LEAST}[converter]\nfull_scale_a = -1\ncurve_1_a = [1e-9]\n"), "19:16", "-1 is not positive"),
         (
@@ -197,10 +197,11 @@ fn effects_that_cannot_be_are_refused_at_their_place() {
             "at most 10 numbers",
         ),
         (changed("width_mm = 1.0", "nonlinearity_mm = 0.1\nwidth_mm = 1.0", ""), "3:19", "at most 12 numbers"),
-        (changed("width_mm = 1.0", "electrode_gain = [1]\nwidth_mm = 1.0", ""), "3:18", "two numbers"),
+        (changed("width_mm = 1.0", "electrode_gain = [1]\nwidth_mm = 1.0", ""), "3:18", "those of I_X1 and I_X2"),
         (changed("width_mm = 1.0", "electrode_gain = [1, 0]\nwidth_mm = 1.0", ""), "3:18", "not positive"),
         (format!("{LEAST}emitter.source_diameter_mm = -0.3\n"), "18:30", "-0.3 is negative"),
         (format!("{LEAST}emitter.profile_radial = [1, 2]\n"), "18:26", "four numbers"),
+        (format!("{LEAST}emitter.profile = {:?}\n", [[0, 1]; 100]), "18:19", "profile has 100 knots; give at most"),
         (format!("{LEAST}emitter.profile_azimuthal = [nan, 0, 0, 0]\n"), "18:30", "a finite number"),
     ] {
         assert_refused_at(&text, place, fault);

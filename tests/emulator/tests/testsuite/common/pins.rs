@@ -28,7 +28,8 @@ pub fn check_pins(record: &Record, configuration: &Configuration, start: Ticks) 
     let (cells, oversampling) = (usize::from(schedule.cells), u64::from(schedule.oversampling));
     let wired = inputs();
     // Before the first frame the converters work for nobody.
-    let holds = &record.holds[record.holds.partition_point(|hold| hold.at < start)..];
+    let holds = record.holds.as_ref().expect("asked for by `run`");
+    let holds = &holds[holds.partition_point(|hold| hold.at < start)..];
     let leading = leading_cells(schedule, holds.first().map_or(start, |hold| hold.at) - start);
     let holds_a_frame = 2 * schedule.slots.len() * (leading + cells) * usize::from(schedule.oversampling);
     let frames = holds.len() / holds_a_frame;
@@ -156,6 +157,7 @@ fn check_levels(record: &Record, schedule: &Schedule, levels: &[Level], start: T
 pub fn run(bench: &mut Talk, configuration: &Configuration, ms: f64) -> (Vec<RawScan>, Ticks) {
     bench.accept(&Command::Configure(configuration.clone()));
     bench.forget();
+    bench.record().holds = Some(Vec::new());
     bench.accept(&Command::Start);
     bench.run_ms(ms);
     let schedule = &configuration.schedule;
