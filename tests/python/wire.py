@@ -1,5 +1,5 @@
 """Reads packets of a board by what the documentation of the crate `slitpose-protocol` says of them, and by
-nothing else: the list of schemas is taken from that page, and all else is written after it."""
+nothing else: the list of schemas is what that page includes, and all else is written after the page."""
 
 import os
 import struct
@@ -11,16 +11,8 @@ MESSAGES = 9
 
 def schemas():
     """(name, fields) of every kind, messages first."""
-    with open(PAGE, encoding="utf-8") as page:
-        text = page.read().split("//! # Schemas", 1)[1].split("//! ```text\n", 1)[1].split("//! ```", 1)[0]
-    lines = []
-    for line in text.splitlines():
-        line = line.removeprefix("//! ")
-        if line.startswith("    "):
-            lines[-1] += line.removeprefix("    ")
-        else:
-            lines.append(line)
-    return [tuple(line.split(":", 1)) for line in lines]
+    with open(os.path.join(os.path.dirname(PAGE), "schemas.txt"), encoding="utf-8") as listed:
+        return [tuple(line.split(":", 1)) for line in listed.read().splitlines()]
 
 
 def key(name, fields):
