@@ -44,7 +44,7 @@ struct Args {
     /// The image [default: what firmware/build made last]
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
-    /// still, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
+    /// still, hand, smooth, fast, contact, or a CSV table with time_s and the columns of a pose
     #[arg(long, value_name = "MOTION", default_value = "smooth")]
     trajectory: String,
     /// Seed of motion and noise
