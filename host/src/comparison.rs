@@ -402,5 +402,6 @@ mod tests {
             accuracy.add(&Estimate { pose, covariance }, &Pose::HOME);
         }
         assert_eq!(accuracy.beyond_five_sigma, 2);
+        assert!(accuracy.axes[0].sum.abs() < 1e-12, "errors to both sides have no mean");
     }
 }

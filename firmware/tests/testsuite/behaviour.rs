@@ -11,7 +11,7 @@ use slitpose_protocol::schema::SchemaKeys;
 use slitpose_protocol::{
     AdcScaling, BoardKind, BootTarget, Command, Configuration, Decoder, Edge, Edges, EmitterSet, Exposure,
     HardwareFault, Hashes, Hello, Level, MAX_MESSAGE_BYTES, Message, PROTOCOL, Pulse, RawScan, Rejection, Reply,
-    ResetCause, ScheduleError, Severity,
+    ResetCause, ScheduleError, Severity, Stream,
 };
 
 const MS: u64 = TICK_HZ as u64 / 1_000;
@@ -125,6 +125,13 @@ fn scans_at_4_khz_come_in_batches_of_four_and_a_stop_sends_the_rest() {
     assert_eq!(sequences(&heard), [4, 5, 6]);
     assert_eq!(heard.last(), Some(&accepted(2)));
     assert!(bench.hardware().running.is_none());
+
+    // It also ends the choice of a stream.
+    bench.say(3, Command::Stream(Stream { scans: 0, poses: 0 }));
+    bench.say(4, Command::Stop);
+    bench.say(5, Command::Start);
+    bench.hardware().sample(4);
+    assert_eq!(sequences(&bench.turn()), [7, 8, 9, 10]);
 }
 
 #[test]

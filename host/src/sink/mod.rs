@@ -305,9 +305,13 @@ impl<W: Write> Sink for Summary<W> {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+    use slitpose_model::{Estimate, Outcome, Pose, Solution, Twist, TwistEstimate};
+
+    use crate::comparison::Accuracy;
     use crate::samples;
 
-    use super::{Format, open};
+    use super::{Format, Seen, WIDTH, layout, open};
     use slitpose_tracking::clock::{HostInstant, HostTime};
     use slitpose_tracking::pipeline::Record;
     use slitpose_tracking::telemetry::{DaemonReport, RecorderReport};
@@ -340,5 +344,21 @@ mod tests {
         assert!(lines[0].contains(",device,host_monotonic_ns,host_utc_ns,host_uncertainty_ns,"), "{csv}");
         assert!(lines[1].contains(",73696d756c61746564000000,,,,"), "{csv}");
         assert!(lines[2].contains(&format!(",{monotonic},{utc},{uncertainty},")), "{csv}");
+    }
+
+    #[test]
+    fn a_summary_is_in_millimetres_and_degrees() {
+        let record = samples::record();
+        let pose = Pose::from_vectors(DVec3::X * 2e-3, DVec3::Y * 0.5);
+        let covariance = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 9e-12 } else { 0.0 }));
+        let twist = Twist { linear_m_per_s: DVec3::Z * 0.25, angular_rad_per_s: DVec3::X };
+        let cells = record.solution.cells_used;
+        let solution = Solution::reported(Outcome::Converged, Some(Estimate { pose, covariance }), 1.0, cells, cells);
+        let last = Record { solution, twist: Ok(TwistEstimate { twist, covariance }), ..record };
+        let lines = Seen { device: last.device, last, accuracy: Accuracy::default() }.lines();
+        let text = layout(&lines, WIDTH).join("\n");
+        for part in ["+2.0000", "3.00 um", "250.0 mm/s", "+28.6479", "3.0 urad", "57.3"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
     }
 }

@@ -149,6 +149,7 @@ fn metrics_are_what_prometheus_reads() {
         ("board_clock_source", r#",source="crystal_failed""#, 1.0),
         ("board_clock_source", r#",source="crystal""#, 0.0),
         ("board_settings", r#",source="passed_over""#, 1.0),
+        ("board_temperature_celsius", "", 300.0 - 273.15),
         ("board_settings", r#",source="stored""#, 0.0),
         ("cell_condition_ratio", r#",cell="1",condition="saturated""#, 0.34),
         ("cell_verdict", r#",cell="1",verdict="saturated""#, 1.0),
