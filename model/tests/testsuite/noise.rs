@@ -188,6 +188,22 @@ fn displaced_parts_are_told_by_covariance() {
     }
 }
 
+/// Gains that nobody knows: of each electrode, and of each emitter.
+#[test]
+fn unknown_gains_are_told_by_covariance() {
+    for of_electrodes in [true, false] {
+        let mut scene = quiet();
+        let unknown = &mut scene.uncertainty;
+        *(if of_electrodes { &mut unknown.electrode_gain_relative } else { &mut unknown.emitter_gain_relative }) = 2e-3;
+        let found = study(&scene, |plan, cell, pose, rng| {
+            let Pair { i_x1_a, i_x2_a } = plan.photocurrents(cell, pose);
+            let gains = [0; 2].map(|_| 1.0 + 2e-3 * normal(rng));
+            Pair { i_x1_a: gains[0] * i_x1_a, i_x2_a: gains[usize::from(of_electrodes)] * i_x2_a }
+        });
+        assert!(found.errors.iter().all(|error| (0.85..1.15).contains(error)), "{of_electrodes}: {found:?}");
+    }
+}
+
 #[test]
 fn dark_current_hides_neither_planes_nor_limits() {
     let mut rng = generator();
