@@ -82,20 +82,20 @@ impl Check {
     }
 }
 
-/// The cells of `scene`, as a list with room for as many as any scene has.
+/// Passes the cells of `scene` on, one by one: together they may be too long for a stack.
 #[inline(never)]
-pub fn cells<S: Number, L: FromIterator<CompiledCell<S>>>(scene: &Scene, tier: Tier) -> Result<L, SceneError> {
+pub fn cells<S: Number>(scene: &Scene, tier: Tier, mut sink: impl FnMut(CompiledCell<S>)) -> Result<(), SceneError> {
     let of_scene = Check { cell: None, section: "cell" };
     if scene.cells.is_empty() {
         return Err(of_scene.fault("detector_mm", Fault::NoCells));
     }
     check_noise(scene)?;
-    let cell = |(index, cell): (usize, &Cell)| {
-        let compiled = compile_cell(index, cell, tier)?;
-        let imperfect = cell.acting_effects().map(|effects| compile_effects(index, cell, effects)).transpose()?;
-        Ok(CompiledCell { imperfect, ..compiled })
-    };
-    scene.cells.iter().enumerate().map(cell).collect()
+    for (index, cell) in scene.cells.iter().enumerate() {
+        let mut compiled = compile_cell(index, cell, tier)?;
+        compiled.imperfect = cell.acting_effects().map(|effects| compile_effects(index, cell, effects)).transpose()?;
+        sink(compiled);
+    }
+    Ok(())
 }
 
 fn compile_effects<S: Number>(index: usize, cell: &Cell, effects: &Effects) -> Result<Imperfect<S>, SceneError> {

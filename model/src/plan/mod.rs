@@ -66,6 +66,20 @@ type CompiledCells<S> = Vec<CompiledCell<S>, { crate::scene::MAX_CELLS }>;
 #[cfg(feature = "lanes")]
 type CompiledCells<S> = alloc::sync::Arc<[CompiledCell<S>]>;
 
+/// Compiles the cells of `scene` where they stay.
+#[cfg(not(feature = "lanes"))]
+fn fill<S: Number>(cells: &mut CompiledCells<S>, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+    // A scene has no more cells than there is room for.
+    compile::cells(scene, tier, |cell| drop(cells.push(cell)))
+}
+#[cfg(feature = "lanes")]
+fn fill<S: Number>(cells: &mut CompiledCells<S>, scene: &Scene, tier: Tier) -> Result<(), SceneError> {
+    let mut list = alloc::vec::Vec::with_capacity(scene.cells.len());
+    compile::cells(scene, tier, |cell| list.push(cell))?;
+    *cells = list.into();
+    Ok(())
+}
+
 /// A scene compiled for one tier and one number type. Fixed size and no heap, except with the feature `lanes`.
 ///
 /// ```
@@ -253,10 +267,11 @@ impl<S: Scalar> CompiledScene<S> {
 
     #[inline(always)]
     pub(crate) fn compile_here(scene: &Scene, tier: Tier) -> Result<Self, SceneError> {
-        let cells: CompiledCells<S> = compile::cells(scene, tier)?;
-        let integrates = cells.iter().any(|cell| cell.emitter.orders.is_some());
-        let rules = integrates.then(Rules::new);
-        let mut plan = Self { cells, is_paper: tier == Tier::Paper, rules, lanes: S::CellsInLanes::ALONE };
+        let cells = CompiledCells::<S>::default();
+        let mut plan = Self { cells, is_paper: tier == Tier::Paper, rules: None, lanes: S::CellsInLanes::ALONE };
+        fill(&mut plan.cells, scene, tier)?;
+        let integrates = plan.cells.iter().any(|cell| cell.emitter.orders.is_some());
+        plan.rules = integrates.then(Rules::new);
         plan.lanes = S::CellsInLanes::of(&plan);
         Ok(plan)
     }
