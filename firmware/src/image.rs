@@ -20,8 +20,10 @@ use slitpose_protocol::PROTOCOL;
 pub const FLASH_BASE: u32 = 0x0800_0000;
 /// A page, the least that can be erased; the boot stub has the first one.
 pub const PAGE_BYTES: usize = 2048;
+/// The image ends here at the earliest: the mark follows header and vector table.
+const MIN_IMAGE_END: u32 = FLASH_BASE + 0xa08;
 /// The image ends here at the latest: settings lie in the second bank.
-pub const MAX_IMAGE_END: u32 = FLASH_BASE + 0x4_0000;
+const MAX_IMAGE_END: u32 = FLASH_BASE + 0x4_0000;
 /// Bytes of the double word that marks the end.
 pub const END_MARK_BYTES: usize = 8;
 /// Address of the double word with versions and end: zeros, which may be programmed over anything, make an image one that is
@@ -78,7 +80,10 @@ impl ImageHeader {
         let (header, end) = flash.get(HEADER_OFFSET..)?.split_first_chunk::<HEADER_BYTES>()?;
         let end = u32::from_le_bytes(*end.first_chunk()?);
         let whole = flash.get(..end.checked_sub(FLASH_BASE)? as usize)?;
-        let is_whole = end <= MAX_IMAGE_END && end.is_multiple_of(8) && whole.ends_with(&[0; END_MARK_BYTES]);
+        // As the boot stub has it.
+        let is_whole = (MIN_IMAGE_END..=MAX_IMAGE_END).contains(&end)
+            && end.is_multiple_of(8)
+            && whole.ends_with(&[0; END_MARK_BYTES]);
         let [board, firmware] = [&header[8..24], &header[24..27]];
         let header =
             Self { board: board.try_into().ok()?, firmware: firmware.try_into().ok()?, protocol_major: header[27] };

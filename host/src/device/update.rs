@@ -369,6 +369,11 @@ mod tests {
         for file in [&unfinished[..], &flash[..flash.len() - 8], &flash[..100], b""] {
             assert!(refused(file).contains("no whole image"));
         }
+        let mut short = [&flash[..0xa00], &[0; 8]].concat();
+        for (end, is_one) in [(0xa08_u32, true), (0xa00, false), (8, false), (0xa0c, false)] {
+            short[0x9f4..0x9f8].copy_from_slice(&(FLASH_BASE + end).to_le_bytes());
+            assert_eq!(Firmware::read(&short).is_ok(), is_one, "{end:#x}");
+        }
         let mut newer = flash;
         newer[0x9f3] += 1;
         assert!(refused(&newer).contains("speaks version 3 of the protocol, this program version 2"));

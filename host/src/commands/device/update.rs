@@ -67,8 +67,8 @@ pub(super) fn update(args: &UpdateArgs) -> Result<Outcome, CommandError> {
         Some(firmware) => firmware,
         None => {
             // A board that solves no poses has no head to forget; the others have theirs again when they start.
-            let released = [released(RELEASED)?, released(RELEASED_WITH_POSES)?];
-            released[usize::from(connection.board.forget_head()?)].clone()
+            let (board, pose) = (released(RELEASED)?, released(RELEASED_WITH_POSES)?);
+            if connection.board.forget_head()? { pose } else { board }
         }
     };
     firmware.check_board(&connection.info.board)?;

@@ -377,7 +377,7 @@ impl SceneView {
         for row in 0..MAP_POINTS {
             for column in 0..MAP_POINTS {
                 (pose.translation_m[across], pose.translation_m[up]) = (at(across, column), at(up, row));
-                sigma_m.push(self.outlook.at(&pose).sigma_m().filter(|_| has_noise).map(rounded));
+                sigma_m.push(has_noise.then(|| self.outlook.at(&pose).sigma_m()).flatten().map(rounded));
             }
         }
         let half_m = [half_m[across], half_m[up]];
