@@ -202,12 +202,7 @@ fn checksum(start: &[u8], payload: &[u8]) -> u32 {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use core::f64::consts::FRAC_PI_3;
-
-    use glam::{DVec2, DVec3};
-    use slitpose_model::{
-        Cell, CompiledScene, DEFAULT_FAINT_A, Detector, Effects, Emitter, Noise, Pose, Profile, Scene, Slit, Tier,
-    };
+    use slitpose_model::{CompiledScene, Noise, Pose, Scene, Tier};
     use slitpose_protocol::WordPair;
 
     use super::*;
@@ -216,46 +211,10 @@ pub(super) mod tests {
     /// Photocurrent of a step of a word.
     const STEP_A: f64 = -0.62e-9;
 
-    /// Six cells in a ring of 25 mm, rolled by 45° one way and the other.
+    /// Six cells in a ring: that of the examples in `slitpose-model`.
     pub(in crate::pose) fn scene() -> Scene {
-        let cell = |k: u8| {
-            let (out, along) = (
-                DVec3::new((FRAC_PI_3 * f64::from(k)).cos(), (FRAC_PI_3 * f64::from(k)).sin(), 0.0),
-                DVec3::new(-(FRAC_PI_3 * f64::from(k)).sin(), (FRAC_PI_3 * f64::from(k)).cos(), 0.0),
-            );
-            let up = if k.is_multiple_of(2) { DVec3::Z } else { -DVec3::Z };
-            Cell {
-                detector: Detector {
-                    centre_base_m: 25e-3 * out,
-                    x_axis_base: (along + up).normalize(),
-                    normal_base: -out,
-                    length_m: 12e-3,
-                    width_m: 1e-3,
-                    responsivity_a_per_w: 0.54,
-                    dark_current_a: 0.0,
-                    interelectrode_ohm: None,
-                    saturation_a: None,
-                    faint_a: DEFAULT_FAINT_A,
-                },
-                slit: Slit {
-                    distance_m: 5e-3,
-                    width_m: 0.6e-3,
-                    length_m: 10e-3,
-                    offset_m: DVec2::ZERO,
-                    tilt_rad: DVec3::ZERO,
-                    thickness_m: 0.0,
-                },
-                emitter: Emitter {
-                    position_tool_m: 10e-3 * out,
-                    axis_tool: out,
-                    radiant_intensity_w_per_sr: 3.16e-3,
-                    profile: Profile::Cosine { exponent: 1.25 },
-                },
-                effects: Effects::default(),
-            }
-        };
         let noise = Noise { shot_bandwidth_hz: 1e5, johnson_bandwidth_hz: 1e5, temperature_k: 300.0, adc_a: 2e-9 };
-        Scene { cells: (0..6).map(cell).collect(), noise: Some(noise), ..Scene::default() }
+        Scene { noise: Some(noise), ..include!("../../../model/doc/ring.rs") }
     }
 
     pub(in crate::pose) fn head() -> Head {
